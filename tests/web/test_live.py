@@ -10,7 +10,6 @@ import pytest
 from tests.web.program import Server
 
 from metropilot.web import Settings
-from metropilot.web.errors import Refused
 from metropilot.web.schemas.requests import LiveIn
 from metropilot.web.service import Service
 

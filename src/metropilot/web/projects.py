@@ -138,7 +138,9 @@ async def read_archive(service: Service, content: bytes) -> ProjectRow:
 
     Raises:
         InputError: The archive, or something in it, cannot be used; one line names the entry.
+        Refused: A viewer imports it (403), or the user keeps too much (429).
     """
+    service.check_limits(size=len(content))
     files = _unpack(content, service.settings.archive_bytes)
     try:
         index = json.loads(files.pop(INDEX))

@@ -37,6 +37,7 @@ from metropilot.web.schemas.requests import (
 from metropilot.web.schemas.requests import request_of as resolve
 from metropilot.web.settings import Settings
 from metropilot.web.store import OVER, JobRow, JobStore, UploadRow, VersionRow
+from metropilot.web.users import check_may_change, present_user
 from metropilot.web.work import campaigns, drives, exports, fits, learning, operations, plans
 from metropilot.web.work.plans import LOG, LOG_SUFFIX
 
@@ -98,6 +99,41 @@ class Service:
         if self.spare:
             self.spare.process.kill()
         await asyncio.to_thread(self.pools.stop)
+
+    # ------------------------------------------------------------------------------------------ users
+    def check_limits(self, *, jobs: int = 0, size: int = 0) -> None:
+        """Refuse what a viewer may not do, or what would exceed a limit of a named user.
+
+        Args:
+            jobs: Jobs or live runs that are to be added.
+            size: Bytes that are to be added.
+
+        Raises:
+            Refused: The present user reads only (403), or is at a limit (429).
+        """
+        check_may_change()
+        name = present_user().name
+        if name is None:
+            return
+        most = self.settings.user_jobs
+        if jobs and self.store.count_of(name) + jobs > most:
+            words = f"{name} has {self.store.count_of(name)} jobs that wait or run; stop one, or wait"
+            raise Refused(words, 429, field="user", value=name, allowed=f"at most {most}")
+        kept = self.kept_bytes(name)
+        if kept + size > self.settings.user_bytes:
+            words = f"{name} keeps {kept / 1e6:.1f} MB of runs and uploads; delete some"
+            allowed = f"at most {self.settings.user_bytes / 1e6:g} MB"
+            raise Refused(words, 429, field="user", value=name, allowed=allowed)
+
+    def kept_bytes(self, user: str) -> int:
+        """Size of the results, files and uploads of a user, bytes."""
+        size, places = self.store.kept_by(user)
+        for place in places:
+            path = self.root / place
+            for file in [path] if path.is_file() else path.rglob("*"):
+                with suppress(OSError):  # a file that is being replaced
+                    size += file.stat().st_size if file.is_file() else 0
+        return size
 
     # ------------------------------------------------------------------------------------------ names
     def paths(self, kind: str | None = None) -> dict[str, str]:
@@ -240,6 +276,7 @@ class Service:
 
     async def _take(self, name: str, content: bytes) -> tuple[str, dict[str, Any]]:
         """Check a file and keep it; return its new name and what it holds."""
+        self.check_limits(size=len(content))
         shown = Path(name.replace("\\", "/")).name[:80] or "file"
         suffix = Path(shown).suffix.lower()
         if suffix not in SUFFIXES:
@@ -351,6 +388,7 @@ class Service:
         Raises:
             MetropilotError: It cannot be planned; nothing is kept.
         """
+        self.check_limits()
         found = await self.journey(body.model_dump())
         job = self.store.new_job("journey", body.model_dump())
         self.store.update(job, status="done", progress=1.0, result=found)
@@ -371,8 +409,9 @@ class Service:
         """Remove a job with its files; of a learning run the policy, too.
 
         Raises:
-            Refused: No such job (404), or it waits or runs (409).
+            Refused: A viewer does it (403), no such job (404), or it waits or runs (409).
         """
+        check_may_change()
         row = self.store.job(job)
         if row.status in {"queued", "running"}:
             raise Refused(
@@ -395,8 +434,9 @@ class Service:
 
         Raises:
             InputError: The job is not possible.
-            Refused: Too many jobs wait (429).
+            Refused: Too many jobs wait, or too many of the user (429); a viewer (403).
         """
+        self.check_limits(jobs=1)
         if self.store.count_waiting() >= self.settings.queued_jobs:
             raise Refused("too many jobs wait", 429)
         if isinstance(body, LearnIn):
@@ -439,6 +479,7 @@ class Service:
             return
         session = self.sessions.get(job)
         if session is not None and not session.over:
+            check_may_change()
             asyncio.run_coroutine_threadsafe(session.stop(), session.loop)
             return
         self.store.update(job, stop=1)
@@ -457,6 +498,7 @@ class Service:
         row = self.store.job(job)
         if row.kind == "live" or row.status in {"queued", "running", "done"}:
             raise Refused(f"a job that is {row.status} cannot be resumed", 409, field="id", value=job)
+        self.check_limits(jobs=1)
         self.store.update(job, status="queued", words="", stop=0, error=None)
         self._schedule(job, row.kind, row.request, row.run)
 
@@ -566,6 +608,7 @@ class Service:
             InputError: The run cannot be driven.
             Refused: Too many live runs wait (429), or it failed to start (422).
         """
+        self.check_limits(jobs=1)
         await self.stop_abandoned()
         convoy = isinstance(body, ConvoyIn)
         request: Any = self._convoy(body) if convoy else self._run(body)
@@ -584,7 +627,9 @@ class Service:
         else:
             order |= {"journal": self.store.journal(job), "step": int(self.store.job(job).progress)}
         order["job"] = job
-        session = Session(job, body.model_dump(), order, self._keep, self._start_queued)
+        session = Session(
+            job, body.model_dump(), order, self._keep, self._start_queued, self.store.job(job).user
+        )
         self._forget_old()
         self.sessions[job] = session
         self.store.update(job, status="queued", words="", error=None)

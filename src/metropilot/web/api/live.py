@@ -26,8 +26,9 @@ from metropilot.web.service import Service
 
 STREAM: dict[int | str, dict[str, Any]] = {
     200: {
-        "description": "Server-sent events, numbered: `place` (in the queue, while it waits), `scene` (track, permitted speed, plan, names of the "
-        "columns), `rows` (one a control period), `event` (in words), `result` (KPIs), `error`, `end`. "
+        "description": "Server-sent events, numbered: `place` (in the queue, while it waits), `scene` "
+        "(track, permitted speed, plan, names of the columns), `rows` (one a control period), `event` (in "
+        "words), `result` (KPIs), `error`, `end`. "
         "In a scene, `plan` leads from where the trainset was when it was made to the stop; `reference` "
         "leads from departure to the stop for what is in force now, and a run's energy is compared with it: "
         "`plan_energy_wheel_j` of a row is what it has used at that position. "
@@ -44,6 +45,7 @@ def live_out(session: Session) -> dict[str, Any]:
         "id": session.id,
         "status": known.status,
         "place": known.place,
+        "user": session.user,
         "request": session.request,
         "time_s": known.time_s,
         "position_m": known.position_m,
@@ -67,7 +69,7 @@ def routes(service: Service) -> APIRouter:
 
     @router.post("/live", response_model=LiveOut, status_code=201)
     async def start(body: LiveIn) -> dict[str, Any]:
-        """Start a live run; with ``status: queued`` it waits at ``place`` of the queue and starts by itself."""
+        """Start a live run; one that is `queued` waits at `place` of the queue and starts by itself."""
         return live_out(await service.go_live(body))
 
     @router.post("/convoys", response_model=LiveOut, status_code=201)

@@ -19,6 +19,7 @@ from typing import Any, cast
 from metropilot.web.errors import FIELDS, Refused, detail_of
 from metropilot.web.live.worker import main
 from metropilot.web.pools import explain
+from metropilot.web.users import check_may_change
 
 ANSWER_S = 10.0
 """Longest wait for the process of a run: for its start, an answer, its end."""
@@ -80,6 +81,7 @@ class Session:
     Attributes:
         id: Id of the job.
         request: The body of the request.
+        user: Name of who began it, None on a server that names no users.
         order: What its process is to drive; see :class:`metropilot.web.live.worker.Driving`.
         keep: Called in the reader's thread with each message to be stored.
         over_now: Called in the loop when it is over.
@@ -96,6 +98,7 @@ class Session:
     order: dict[str, Any]
     keep: Callable[[Session, str, dict[str, Any]], None]
     over_now: Callable[[], None]
+    user: str | None = None
     spare: Spare | None = None
     known: Known = field(default_factory=Known)
     sent: list[bytes] = field(default_factory=list)
@@ -161,9 +164,10 @@ class Session:
         """Send the run an event; return the time since departure at which it takes effect.
 
         Raises:
-            Refused: The run is over, or does not answer.
+            Refused: A viewer sends it (403), or the run is over, or does not answer (409).
             InputError: The event is not possible; the message names the allowed values.
         """
+        check_may_change()
         if self.over:
             raise Refused("the run is over", 409, field="id", value=self.id)
         if self.spare is None:
@@ -188,8 +192,9 @@ class Session:
         One that waits leaves the queue.
 
         Raises:
-            Refused: The run is over, or does not answer.
+            Refused: A viewer stops it (403), or the run is over, or does not answer (409).
         """
+        check_may_change()
         if self.waiting:
             self.keep(self, "end", {"status": "stopped", "error": None})
             self._end("stopped", None)

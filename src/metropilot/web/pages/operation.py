@@ -14,6 +14,7 @@ from metropilot.web import catalogue
 from metropilot.web.errors import Refused, error_of
 from metropilot.web.pages.form import FoldedNumbers, loads, number_field, validate
 from metropilot.web.pages.frame import (
+    ActionButton,
     Problem,
     card,
     empty,
@@ -117,11 +118,11 @@ class OperationPage:
             self.problem.beside("seed", self.seed)
             self.seed.bind_visibility_from(self.optimise, "value")
             with ui.element("div").classes("mp-row"):
-                ui.button("Compute", on_click=self.start).props('unelevated data-test="compute"')
-                self.sweep_button = ui.button("Sweep headways", on_click=self.sweep).props(
+                ActionButton("Compute", on_click=self.start).props('unelevated data-test="compute"')
+                self.sweep_button = ActionButton("Sweep headways", on_click=self.sweep).props(
                     'outline data-test="sweep"'
                 )
-                ui.button("Stop", on_click=self.stop).props('outline data-test="stop"')
+                ActionButton("Stop", on_click=self.stop).props('outline data-test="stop"')
             self.status = ui.label("").classes("mp-soft").props('aria-live=polite data-test="status"')
         with ui.element("div").classes("mp-col"):
             with card():

@@ -23,6 +23,17 @@ class Health(BaseModel):
     live_runs_waiting: int
 
 
+class UserOut(BaseModel):
+    """A user: role ``viewer`` reads only; jobs wait or run. Without a name there are no limits."""
+
+    name: str | None
+    role: Literal["user", "viewer"]
+    jobs: int | None = None
+    jobs_most: int | None = None
+    bytes_kept: int | None = None
+    bytes_most: int | None = None
+
+
 class LineRow(BaseModel):
     """A line in a list."""
 
@@ -105,12 +116,13 @@ class UploadOut(BaseModel):
 
 
 class ProjectOut(BaseModel):
-    """A project: a named folder of jobs, lines, trainsets, policies and logs, with notes."""
+    """A project: a named folder of jobs, lines, trainsets, policies and logs, with notes; who began it."""
 
     id: str
     name: str
     notes: str
     created: str
+    user: str | None
 
 
 class ProjectUpload(BaseModel):
@@ -215,7 +227,7 @@ class JobSummary(BaseModel):
 
 
 class JobOut(BaseModel):
-    """A job: its name, request, progress, status, result in short, and its error if it failed."""
+    """A job: its name, request, progress, status, result in short, its error if it failed, who began it."""
 
     id: str
     kind: JobKind
@@ -229,6 +241,7 @@ class JobOut(BaseModel):
     name: str
     summary: JobSummary
     project: str | None
+    user: str | None
 
 
 class CheckOut(BaseModel):
@@ -507,11 +520,12 @@ class LeverOut(BaseModel):
 
 
 class LiveOut(BaseModel):
-    """A live run; ``lever`` is null while the driver drives, ``place`` is that in the queue while it waits."""
+    """A live run; ``lever`` is null while the driver drives, ``place`` that in the queue while it waits."""
 
     id: str
     status: JobStatus
     place: int | None
+    user: str | None
     request: dict[str, Any]
     time_s: float
     position_m: float
