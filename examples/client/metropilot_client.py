@@ -581,6 +581,7 @@ class Health(TypedDict):
     version: str
     jobs_running: int
     live_runs: int
+    live_runs_waiting: int
 
 
 class HistoryOut(TypedDict):
@@ -611,7 +612,9 @@ class InterventionOut(TypedDict):
 
 
 class JobOut(TypedDict):
-    """A job: its name, request, progress, status, result in short, and its error if it failed."""
+    """A job: its name, request, progress, status, result in short, its error if it failed, who began
+    it.
+    """
 
     id: str
     kind: Literal[
@@ -627,6 +630,7 @@ class JobOut(TypedDict):
     name: str
     summary: JobSummary
     project: str | None
+    user: str | None
 
 
 class JobSummary(TypedDict):
@@ -760,10 +764,14 @@ class LiveIn(TypedDict):
 
 
 class LiveOut(TypedDict):
-    """A live run; ``lever`` is null while the driver drives."""
+    """A live run; ``lever`` is null while the driver drives, ``place`` that in the queue while it
+    waits.
+    """
 
     id: str
     status: Literal["queued", "running", "done", "failed", "stopped", "interrupted"]
+    place: int | None
+    user: str | None
     request: dict[str, Any]
     time_s: float
     position_m: float
@@ -896,6 +904,7 @@ class ProjectEntries(TypedDict):
     name: str
     notes: str
     created: str
+    user: str | None
     jobs: list[str]
     uploads: list[ProjectUpload]
 
@@ -908,12 +917,15 @@ class ProjectIn(TypedDict):
 
 
 class ProjectOut(TypedDict):
-    """A project: a named folder of jobs, lines, trainsets, policies and logs, with notes."""
+    """A project: a named folder of jobs, lines, trainsets, policies and logs, with notes; who began
+    it.
+    """
 
     id: str
     name: str
     notes: str
     created: str
+    user: str | None
 
 
 class ProjectUpload(TypedDict):
@@ -1135,6 +1147,17 @@ class UploadOut(TypedDict):
     notes: list[str]
 
 
+class UserOut(TypedDict):
+    """A user: role ``viewer`` reads only; jobs wait or run. Without a name there are no limits."""
+
+    name: str | None
+    role: Literal["user", "viewer"]
+    jobs: NotRequired[int | None]
+    jobs_most: NotRequired[int | None]
+    bytes_kept: NotRequired[int | None]
+    bytes_most: NotRequired[int | None]
+
+
 class VersionIn(TypedDict):
     """The next version of a line or trainset: its TOML document, and the version that was edited."""
 
@@ -1159,6 +1182,10 @@ class Server:
     def health(self) -> Health:
         """State of the server."""
         return json.loads(self.connection.send("GET", "/api/health", {}))
+
+    def user(self) -> UserOut:
+        """User of this request, with what it has under way and keeps, and how much of it is allowed."""
+        return json.loads(self.connection.send("GET", "/api/user", {}))
 
 
 class Catalogue:
@@ -1591,7 +1618,7 @@ class Live:
         return json.loads(self.connection.send("GET", "/api/live", {}))
 
     def start(self, body: LiveIn) -> LiveOut:
-        """Start a live run."""
+        """Start a live run; one that is `queued` waits at `place` of the queue and starts by itself."""
         return json.loads(self.connection.send("POST", "/api/live", {}, body))
 
     def convoy(self, body: ConvoyIn) -> LiveOut:
@@ -1646,7 +1673,7 @@ class Live:
         )
 
     def stop(self, live_id: str) -> EventOut:
-        """End a live run; it can be resumed."""
+        """End a live run, or take it out of the queue; it can be resumed."""
         return json.loads(self.connection.send("POST", f"/api/live/{quote(str(live_id), safe='')}/stop", {}))
 
     def resume(self, live_id: str) -> LiveOut:

@@ -50,7 +50,9 @@ def test_a_run_waits_for_its_place_and_starts_by_itself(visit, server, full, wid
     assert second["place"] == 2
     expect(page.locator(f'.mp-run[data-run="{second["id"]}"]')).to_contain_text("waits: place 2 in the queue")
     assert page.evaluate("document.documentElement.scrollWidth") <= width
-    page.locator(f'.mp-run[data-run="{second["id"]}"]').get_by_role("button", name=re.compile("^Cancel ")).click()
+    page.locator(f'.mp-run[data-run="{second["id"]}"]').get_by_role(
+        "button", name=re.compile("^Cancel ")
+    ).click()
     expect(page.locator(f'.mp-run[data-run="{second["id"]}"]')).to_contain_text("stopped: not started")
     page.locator(f'.mp-run[data-run="{full[0]}"]').get_by_role("button", name=re.compile("^Stop ")).click()
     expect(live).to_have_attribute("data-status", "running", timeout=PATIENCE_MS)

@@ -95,9 +95,7 @@ def test_only_a_trusted_proxy_names_a_user(tmp_path, users):
     assert name_of(far, ("10.1.2.3", 5)) == 401
     assert name_of(far, ("10.1.2.3", 5), X_Remote_User="mia; drop") == 401
     assert name_of(far, ("10.2.2.3", 5), X_Forwarded_For="10.1.2.3", X_Remote_User="mia") == 401
-    listed = Settings(
-        data=tmp_path, users=users, user_header="X-Remote-User", trusted_proxies=("127.0.0.1",)
-    )
+    listed = Settings(data=tmp_path, users=users, user_header="X-Remote-User", trusted_proxies=("127.0.0.1",))
     assert name_of(listed, X_Remote_User="erik") == ("erik", "user")
     assert name_of(listed, X_Remote_User="vera") == ("vera", "viewer")
     assert name_of(listed, X_Remote_User="mia") == ("mia", "viewer"), "others than those listed read only"
@@ -188,9 +186,10 @@ def test_limits_of_a_user_are_told_in_one_line(tmp_path):
             upload, _ = await service.upload("mine.toml", text)
             size = service.kept_bytes("anna")
             assert size == len(text) < 30_000 < 20 * size
+            while service.kept_bytes("anna") + len(text) <= 30_000:
+                await service.upload("more.toml", text)
             with pytest.raises(Refused, match=r"anna keeps 0\.0 MB of runs and uploads; delete some"):
-                for _ in range(20):
-                    await service.upload("more.toml", text)
+                await service.upload("more.toml", text)
             for row in service.store.uploads():
                 service.forget(row.id)
             assert service.kept_bytes("anna") == 0
