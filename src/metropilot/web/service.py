@@ -31,6 +31,7 @@ from metropilot.web.schemas.requests import (
     LiveIn,
     OperationIn,
     PlanIn,
+    RunningLineIn,
     SectionIn,
     StudyIn,
 )
@@ -43,6 +44,7 @@ from metropilot.web.work.plans import LOG, LOG_SUFFIX
 
 if TYPE_CHECKING:
     from metropilot.convoy import ConvoyRequest
+    from metropilot.web.live.line import RunningRequest
 
 SUFFIXES = (".toml", ".json", ".safetensors", LOG_SUFFIX)
 SAVE_STEPS = 25
@@ -52,10 +54,17 @@ ABANDONED_S = 120.0
 NOT_STARTED = "not started"
 """Words of a job that waited when the server ended."""
 RESUMABLE = ("interrupted", "stopped")
+LIVE_BODIES = {"convoy": ConvoyIn, "line": RunningLineIn, "run": LiveIn}
+"""Requests of live runs by what is driven."""
 LISTED = 6
 """Number of live runs to resume that are listed, the newest first."""
 FORGET = 50
 """Ended live runs kept in memory with their events, for viewers that come back."""
+
+
+def live_kind(request: dict[str, Any]) -> str:
+    """What a live run drives, one of ``LIVE_BODIES``, by its request."""
+    return "convoy" if "follower" in request else "line" if "headway_s" in request else "run"
 
 
 class Service:
@@ -599,7 +608,7 @@ class Service:
             runs.update(record, status="interrupted")
 
     # ------------------------------------------------------------------------------------------ live runs
-    async def go_live(self, body: LiveIn | ConvoyIn, job: str | None = None) -> Session:
+    async def go_live(self, body: LiveIn | ConvoyIn | RunningLineIn, job: str | None = None) -> Session:
         """Start a live run, or resume one that was interrupted.
 
         One that finds ``live_runs`` under way waits in a queue and starts by itself.
@@ -610,14 +619,13 @@ class Service:
         """
         self.check_limits(jobs=1)
         await self.stop_abandoned()
-        convoy = isinstance(body, ConvoyIn)
-        request: Any = self._convoy(body) if convoy else self._run(body)
+        drives, request = self._live_request(body)
         if len(self.queue) >= self.settings.queued_jobs:
             words = f"{self.settings.live_runs} live runs are under way and {len(self.queue)} wait"
             raise Refused(words, 429, allowed=f"at most {self.settings.queued_jobs} that wait")
         order: dict[str, Any] = {
             "request": request,
-            "convoy": convoy,
+            "drives": drives,
             "pace": body.pace,
             "root": str(self.root),
         }
@@ -666,8 +674,7 @@ class Service:
         row = self.store.job(job)
         if row.kind != "live" or row.status not in RESUMABLE:
             raise Refused(f"a {row.kind} that is {row.status} cannot be resumed", 409, field="id", value=job)
-        kind = ConvoyIn if "follower" in row.request else LiveIn
-        return await self.go_live(kind.model_validate(row.request), job)
+        return await self.go_live(LIVE_BODIES[live_kind(row.request)].model_validate(row.request), job)
 
     def live_run(self, job: str) -> JobRow:
         """Stored row of a live run or convoy, also of an earlier server, or of a drive.
@@ -697,6 +704,22 @@ class Service:
                 await session.stop()
                 words = f"no viewer for {ABANDONED_S:g} s; it can be resumed"
                 self.store.update(session.id, words=words)
+
+    def _live_request(self, body: LiveIn | ConvoyIn | RunningLineIn) -> tuple[str, Any]:
+        """What is driven, and its request as a worker takes it."""
+        if isinstance(body, RunningLineIn):
+            return "line", self._running_line(body)
+        return ("convoy", self._convoy(body)) if isinstance(body, ConvoyIn) else ("run", self._run(body))
+
+    def _running_line(self, body: RunningLineIn) -> RunningRequest:
+        from metropilot.web.live.line import RunningRequest
+
+        values = body.model_dump(exclude={"pace"})
+        options = OperationOptions(**{name: values.pop(name) for name in field_specs(OperationOptions)})
+        names = {kind: self.path(kind, values.pop(kind)) for kind in ("line", "trainset")}
+        made = RunningRequest(**names, **values, options=options)
+        made.operation()
+        return made
 
     def _run(self, body: LiveIn) -> RunSpec:
         request = self.run_spec(body)

@@ -401,9 +401,10 @@ def summarise(result: Any) -> dict[str, Any]:  # noqa: ANN401 (whatever the job'
     if "entries" in result:
         met = sum(e["successes"] == e["seeds"] for e in result["entries"])
         return {"outcome": f"{met} of {len(result['entries'])} drivers met every requirement"}
-    if "energies" in result:
-        told = result["energies"]
-        return {"outcome": "computed", "energy_kwh": told["energy_kwh"], "gap_percent": told["gap_percent"]}
+    if "energies" in result or "floor_kwh" in result:  # a line, computed or run
+        told = result.get("energies", result)
+        found = {"outcome": result.get("outcome", "computed"), "time_s": result.get("time_s")}
+        return found | {"energy_kwh": told["energy_kwh"], "gap_percent": told["gap_percent"]}
     if "campaign" in result or "vectors" in result:
         files = len(result.get("files", ()))
         return {"outcome": f"{files} files" if files else f"{result['done']} of {result['rows']} rows"}

@@ -9,6 +9,7 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Header
 from fastapi.responses import StreamingResponse
 
+from metropilot.web import catalogue
 from metropilot.web.api.catalogue import Key
 from metropilot.web.live.session import Session
 from metropilot.web.schemas.requests import (
@@ -16,12 +17,15 @@ from metropilot.web.schemas.requests import (
     Lever,
     LiveIn,
     NewArrival,
+    NewHold,
     NewLink,
     NewRestriction,
+    NewSlowSection,
     Pace,
     RequestBody,
+    RunningLineIn,
 )
-from metropilot.web.schemas.responses import EventOut, LiveOut
+from metropilot.web.schemas.responses import EventOut, LiveOut, RunningLineOut
 from metropilot.web.service import Service
 
 STREAM: dict[int | str, dict[str, Any]] = {
@@ -76,6 +80,29 @@ def routes(service: Service) -> APIRouter:
     async def convoy(body: ConvoyIn) -> dict[str, Any]:
         """Start a live convoy; watched, paced and stopped like any live run."""
         return live_out(await service.go_live(body))
+
+    @router.post("/running-lines", response_model=LiveOut, status_code=201)
+    async def running_line(body: RunningLineIn) -> dict[str, Any]:
+        """Start a running line with all its trains; watched, paced and stopped like any live run.
+
+        A row has the place and the delay of every train, the energy of all since the beginning and its floor.
+        """
+        return live_out(await service.go_live(body))
+
+    @router.get("/live/{live_id}/line", response_model=RunningLineOut)
+    def line_result(live_id: Key) -> Any:  # noqa: ANN401 (validated by the model)
+        """Result of a running line that has come to its end."""
+        return catalogue.result_of(service, live_id, ("running",))
+
+    @router.post("/live/{live_id}/hold", response_model=EventOut)
+    async def hold(live_id: Key, body: NewHold) -> dict[str, Any]:
+        """Hold the next train of a running line that departs from a station."""
+        return await tell(live_id, "hold", body)
+
+    @router.post("/live/{live_id}/slow", response_model=EventOut)
+    async def slow(live_id: Key, body: NewSlowSection) -> dict[str, Any]:
+        """Restrict the speed of a section of a running line for trains that depart from now on."""
+        return await tell(live_id, "slow", body)
 
     @router.post("/live/{live_id}/link", response_model=EventOut)
     async def link(live_id: Key, body: NewLink) -> dict[str, Any]:

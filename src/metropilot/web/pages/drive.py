@@ -89,8 +89,6 @@ class DrivePage:
         self.lost: MetropilotError | None = None
         try:
             row = service.live_run(run) if run else None
-            if row is not None and "follower" in row.request:
-                raise Refused("the run is a convoy; see the page Convoy", 404, field="id", value=row.id)
             self.row = row
         except MetropilotError as error:
             self.lost = error
@@ -592,8 +590,8 @@ def install(service: Service) -> None:
         row: int = 0,
     ) -> RedirectResponse | None:
         page = DrivePage(service, run, None if campaign is None else (campaign, row))
-        if page.row is not None and "follower" in page.row.request:
-            return RedirectResponse(f"/convoy?run={page.row.id}")
+        if page.row is not None and not catalogue.page_of(page.row).startswith("/?"):
+            return RedirectResponse(catalogue.page_of(page.row))
         with frame(request, "/"):
             page.build()
         await ui.context.client.connected()

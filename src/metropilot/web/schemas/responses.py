@@ -538,6 +538,27 @@ class LiveOut(BaseModel):
     error: dict[str, Any] | None
 
 
+class RunningLineOut(BaseModel):
+    """A running line at its end: energy beside the floor, delays now and at most, recovery.
+
+    ``waits`` departures waited for the train ahead, ``stops`` trains were stopped on the way behind it;
+    ``recovered_s``: when every train was on time again after the last event, at ``disturbed_s``.
+    """
+
+    time_s: float
+    trains: int
+    energy_kwh: float
+    floor_kwh: float
+    gap_percent: float | None
+    largest_delay_s: float
+    delay_s: float
+    waits: int
+    stops: int
+    disturbed_s: float | None
+    recovered_s: float | None
+    outcome: str
+
+
 class EventOut(BaseModel):
     """Confirmation of an event of a live run, with its time since departure."""
 
