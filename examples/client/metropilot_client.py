@@ -796,6 +796,14 @@ class NewArrival(TypedDict):
     scheduled_time_s: float
 
 
+class NewHold(TypedDict):
+    """Hold the next train of a running line that departs from a station."""
+
+    hold_s: NotRequired[float]
+    station: str
+    backward: NotRequired[bool]
+
+
 class NewLink(TypedDict):
     """New delay, jitter and loss of the link of a convoy."""
 
@@ -811,6 +819,15 @@ class NewRestriction(TypedDict):
     from_m: float
     to_m: float
     limit_mps: float
+
+
+class NewSlowSection(TypedDict):
+    """Restrict the speed of the section of a running line that begins at a station, for some time."""
+
+    limit_mps: NotRequired[float]
+    lasts_s: NotRequired[float]
+    station: str
+    backward: NotRequired[bool]
 
 
 class OperationIn(TypedDict):
@@ -996,6 +1013,49 @@ class RunOut(TypedDict):
     steps: int
     total_steps: int | None
     score: float | None
+
+
+class RunningLineIn(TypedDict):
+    """A line that runs live, all trains at once, and its pace; it ends after ``lasts_s``."""
+
+    headway_s: NotRequired[int]
+    dwell_s: NotRequired[int]
+    dwell_window_s: NotRequired[int]
+    time_window_s: NotRequired[int]
+    turnround_s: NotRequired[int]
+    reserve: NotRequired[float]
+    zones: NotRequired[int]
+    age_s: NotRequired[float]
+    blocks: NotRequired[int | None]
+    transfer_loss: NotRequired[float]
+    efficiency_traction: NotRequired[float | None]
+    efficiency_braking: NotRequired[float | None]
+    line: NotRequired[str]
+    trainset: NotRequired[str]
+    load: NotRequired[str | None]
+    lasts_s: NotRequired[float]
+    pace: NotRequired[float]
+
+
+class RunningLineOut(TypedDict):
+    """A running line at its end: energy beside the floor, delays now and at most, recovery.
+
+    ``waits`` departures waited for the train ahead, ``stops`` trains were stopped on the way behind it;
+    ``recovered_s``: when every train was on time again after the last event, at ``disturbed_s``.
+    """
+
+    time_s: float
+    trains: int
+    energy_kwh: float
+    floor_kwh: float
+    gap_percent: float | None
+    largest_delay_s: float
+    delay_s: float
+    waits: int
+    stops: int
+    disturbed_s: float | None
+    recovered_s: float | None
+    outcome: str
 
 
 class SavedOut(TypedDict):
@@ -1624,6 +1684,30 @@ class Live:
     def convoy(self, body: ConvoyIn) -> LiveOut:
         """Start a live convoy; watched, paced and stopped like any live run."""
         return json.loads(self.connection.send("POST", "/api/convoys", {}, body))
+
+    def running_line(self, body: RunningLineIn) -> LiveOut:
+        """Start a running line with all its trains; watched, paced and stopped like any live run.
+
+        A row has the place and the delay of every train, the energy of all since the beginning and its
+        floor.
+        """
+        return json.loads(self.connection.send("POST", "/api/running-lines", {}, body))
+
+    def line_result(self, live_id: str) -> RunningLineOut:
+        """Result of a running line that has come to its end."""
+        return json.loads(self.connection.send("GET", f"/api/live/{quote(str(live_id), safe='')}/line", {}))
+
+    def hold(self, live_id: str, body: NewHold) -> EventOut:
+        """Hold the next train of a running line that departs from a station."""
+        return json.loads(
+            self.connection.send("POST", f"/api/live/{quote(str(live_id), safe='')}/hold", {}, body)
+        )
+
+    def slow(self, live_id: str, body: NewSlowSection) -> EventOut:
+        """Restrict the speed of a section of a running line for trains that depart from now on."""
+        return json.loads(
+            self.connection.send("POST", f"/api/live/{quote(str(live_id), safe='')}/slow", {}, body)
+        )
 
     def link(self, live_id: str, body: NewLink) -> EventOut:
         """Change delay, jitter and loss of the link of a convoy, or silence it."""

@@ -34,7 +34,7 @@ def test_a_delay_is_watched_on_the_train_graph(visit, server, width):
     assert page.evaluate("document.documentElement.scrollWidth") <= width
     run = re.search(r"/line\?run=(live-[\w-]+)", page.url)[1]
     page.get_by_role("combobox", name="At station").click()
-    page.get_by_role("option", name=re.compile("^YZ ")).click()
+    page.get_by_role("option", name=re.compile("^YZHC ")).click()
     page.locator('[data-test="hold"]').click()
     expect(page.get_by_text("no trip begins there (allowed: ")).to_be_visible()
     page.locator('[data-test="stop-line"]').click()

@@ -112,7 +112,7 @@ def test_no_train_meets_another_whatever_is_held(headway_s):
     ("call", "field"),
     [
         (lambda line: line.hold(TrainHold(station="nowhere")), "station"),
-        (lambda line: line.hold(TrainHold(station="YZ")), "station"),
+        (lambda line: line.hold(TrainHold(station="YZHC")), "station"),
         (lambda line: line.hold(TrainHold(station="RJ", hold_s=0.0)), "hold_s"),
         (lambda line: line.slow(SlowSection(station="RJ", limit_mps=0.1)), "limit_mps"),
         (lambda line: line.slow(SlowSection(station="RJ", lasts_s=0.0)), "lasts_s"),
