@@ -159,9 +159,9 @@ def edit(page: Any) -> list[float]:  # noqa: ANN401 (a page of Playwright)
 
 def fill_project(folder: Path) -> str:
     """A project of many runs with large results; return its id. The server is not there yet."""
-    from metropilot.web.store import JobStore
+    from metropilot.web import Service, Settings
 
-    store = JobStore(folder)
+    store = Service(Settings(data=folder)).store
     project = store.new_project("Large").id
     padding = [round(k * 0.1234, 4) for k in range(RUN_BYTES // 9)]
     for k in range(RUNS):
@@ -203,7 +203,7 @@ async def watch(
 
 
 def look_on(url: str, token: str) -> dict[str, float]:
-    """How late rows come to each of the viewers after the first of them saw them, s."""
+    """Delay of rows at each of the viewers after the first of them saw them, s, and their rate, Hz."""
     with client(url, token) as api:
         live = api.post("/api/live", json={**RUN, "pace": PACE}).json()["id"]
 

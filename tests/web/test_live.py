@@ -198,12 +198,8 @@ def test_runs_beyond_capacity_wait_in_a_queue_and_start_by_themselves(server):
     assert [run["status"] for run in begun] == ["running"] * 4 + ["queued"] * 3
     assert [run["place"] for run in begun] == [None] * 4 + [1, 2, 3]
     lives = [run["id"] for run in begun]
-    assert server.get("/api/health") | {"version": ""} == {
-        "version": "",
-        "jobs_running": 0,
-        "live_runs": 4,
-        "live_runs_waiting": 3,
-    }
+    health = server.get("/api/health")
+    assert (health["live_runs"], health["live_runs_waiting"]) == (4, 3)
     refused = server.post(f"/api/live/{lives[5]}/pace", {"pace": 1}, code=409)["error"]
     assert refused["message"] == "the run waits, place 2 in the queue"
     words = {row["id"]: row["words"] for row in server.get("/api/jobs?kind=live&status=queued")}

@@ -2,6 +2,7 @@
 
 import asyncio
 import json
+from contextlib import suppress
 from multiprocessing import Pipe
 from multiprocessing.process import BaseProcess
 from threading import Thread
@@ -134,3 +135,33 @@ def test_a_store_that_fails_ends_the_run(broken):
     words = "RuntimeError: disk full" if broken == "rows" else "TypeError: boom"
     assert seen[-1] == ("end", {"status": "failed", "message": f"internal error: {words}"})
     assert session.over
+
+
+class Planner(BaseProcess):
+    """A process that plans and listens to nobody."""
+
+    def __init__(self, pipe):
+        self.pipe = pipe
+
+    def join(self, timeout=None):
+        """Return at once: it has ended."""
+
+    def kill(self):
+        """Close the pipe, as the end of a process does; it may be closed already."""
+        with suppress(OSError):
+            self.pipe.close()
+
+
+def test_a_run_that_plans_is_stopped_at_once():
+    async def story():
+        ours, theirs = Pipe()
+        kept = []
+        session = Session("live-1", {"pace": 1.0}, ORDER, lambda *told: kept.append(told[1:]), lambda: None)
+        session.start(Spare(Planner(theirs), ours))
+        await asyncio.sleep(0.05)
+        assert await asyncio.wait_for(session.stop(), LIMIT_S) == 0.0
+        return session.known, kept
+
+    known, kept = asyncio.run(story())
+    assert (known.status, known.error) == ("stopped", None)
+    assert kept == [("end", {"status": "stopped", "error": None})]

@@ -63,7 +63,7 @@ class TrainHold:
 
     station: str
     hold_s: float = declare(
-        60.0,
+        120.0,
         "Time by which a departure is put back.",
         unit="s",
         low=1.0,
@@ -315,7 +315,7 @@ class RunningLine:
         self.disturbed_s, self.recovered_s = self.time_s, None
 
     def pop_news(self) -> list[tuple[float, str]]:
-        """What happened since the last call."""
+        """News since the last call, each with its time."""
         news, self.news = self.news, []
         return news
 

@@ -63,7 +63,7 @@ FORGET = 50
 
 
 def live_kind(request: dict[str, Any]) -> str:
-    """What a live run drives, one of ``LIVE_BODIES``, by its request."""
+    """Kind of a live run, one of ``LIVE_BODIES``, by its request."""
     return "convoy" if "follower" in request else "line" if "headway_s" in request else "run"
 
 
@@ -706,7 +706,7 @@ class Service:
                 self.store.update(session.id, words=words)
 
     def _live_request(self, body: LiveIn | ConvoyIn | RunningLineIn) -> tuple[str, Any]:
-        """What is driven, and its request as a worker takes it."""
+        """Kind of a live run, and its request as a worker takes it."""
         if isinstance(body, RunningLineIn):
             return "line", self._running_line(body)
         return ("convoy", self._convoy(body)) if isinstance(body, ConvoyIn) else ("run", self._run(body))

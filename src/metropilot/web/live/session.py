@@ -112,6 +112,7 @@ class Session:
         self.numbers = itertools.count()
         self.answers: dict[int, asyncio.Future[dict[str, Any]]] = {}
         self.ready, self.ended = asyncio.Event(), asyncio.Event()
+        self.given_up = False
         self.known.pace = float(self.request["pace"])
 
     @property
@@ -173,6 +174,11 @@ class Session:
         if self.spare is None:
             raise Refused(f"the run waits, {place_words(self.known.place)}", 409, field="id", value=self.id)
         self.seen_at = monotonic()
+        if not self.ready.is_set():
+            with suppress(TimeoutError):
+                await asyncio.wait_for(self.ready.wait(), ANSWER_S)
+        if not self.ready.is_set():
+            raise Refused("the run is still being planned; try again", 409, field="id", value=self.id)
         number = next(self.numbers)
         future = self.answers[number] = self.loop.create_future()
         try:
@@ -198,6 +204,13 @@ class Session:
         if self.waiting:
             self.keep(self, "end", {"status": "stopped", "error": None})
             self._end("stopped", None)
+            return 0.0
+        if not self.ready.is_set() and not self.over:
+            # it plans, for many seconds maybe, and listens to nobody: nothing of it is lost with its process
+            self.given_up = True
+            self.kill()
+            with suppress(TimeoutError):
+                await asyncio.wait_for(self.ended.wait(), ANSWER_S)
             return 0.0
         at = await self.ask({"kind": "stop"})
         with suppress(TimeoutError):
@@ -248,7 +261,9 @@ class Session:
                     self.keep(self, kind, known)
                 self._in_loop(self._receive, kind, text, known)
         except (EOFError, OSError):
-            error = {"message": DIED, **dict.fromkeys(FIELDS)}
+            if self.given_up:
+                last = {"status": "stopped"}
+            error = None if self.given_up else {"message": DIED, **dict.fromkeys(FIELDS)}
         except Exception as raised:  # noqa: BLE001 (a message that cannot be read or stored)
             error = detail_of(explain(raised, 0.0))
             self.kill()

@@ -85,7 +85,7 @@ class RunningCard:
                 "outlined dense options-dense"
             )
         with ui.element("div").classes("mp-row items-start"):
-            self.hold_s = number_field(NewHold, "hold_s", value=120)
+            self.hold_s = number_field(NewHold, "hold_s")
             ActionButton("Hold the next train", on_click=self.hold).props('outline data-test="hold"')
         with ui.element("div").classes("mp-row items-start"):
             self.limit = number_field(NewSlowSection, "limit_mps", value=25)
