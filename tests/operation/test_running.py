@@ -1,6 +1,7 @@
 """A line while it runs: undisturbed it is its timetable; delays die away, and no train meets another."""
 
 import pytest
+from tests.operation.lines import TRAINSET, short_line
 
 from metropilot.errors import InputError
 from metropilot.operation import (
@@ -17,8 +18,7 @@ from metropilot.units import J_PER_KWH
 
 @pytest.fixture(scope="module")
 def found():
-    line, trainset = load_line("yizhuang"), load_trainset("dkz32")
-    return operation_energy(LineOperation(line, trainset, OperationOptions(headway_s=180)))
+    return operation_energy(LineOperation(short_line(6), TRAINSET, OperationOptions(headway_s=180)))
 
 
 def run(line, seconds):
@@ -47,8 +47,8 @@ def test_undisturbed_it_is_its_timetable(found):
 def test_a_train_that_is_held_delays_the_next_ones_and_all_recover(found):
     line = RunningLine(found)
     run(line, 100)
-    words = line.hold(TrainHold(station="RJ", hold_s=240.0))
-    assert words.endswith("is held at Rongjing East Street for 240 s")
+    words = line.hold(TrainHold(station="JG", hold_s=240.0))
+    assert words.endswith("is held at Jiugong for 240 s")
     held = int(words.split()[1])
     assert run(line, 600) > 0.0
     assert max(line.delays_s) > 60.0
@@ -72,9 +72,9 @@ def test_a_train_that_is_held_delays_the_next_ones_and_all_recover(found):
 
 def test_a_slow_section_delays_those_who_depart_meanwhile(found):
     line = RunningLine(found)
-    trip = next(k for k, each in enumerate(found.operation.trips) if each.section.origin.code == "RJ")
+    trip = next(k for k, each in enumerate(found.operation.trips) if each.section.origin.code == "XHM")
     assert (
-        line.slow(SlowSection(station="RJ", limit_mps=6.0, lasts_s=400.0))
+        line.slow(SlowSection(station="XHM", limit_mps=6.0, lasts_s=400.0))
         == f"{found.operation.trips[trip].section.name}: 22 km/h for 400 s"
     )
     fastest, seen = 0.0, []
@@ -112,10 +112,10 @@ def test_no_train_meets_another_whatever_is_held(headway_s):
     ("call", "field"),
     [
         (lambda line: line.hold(TrainHold(station="nowhere")), "station"),
-        (lambda line: line.hold(TrainHold(station="YZHC")), "station"),
-        (lambda line: line.hold(TrainHold(station="RJ", hold_s=0.0)), "hold_s"),
-        (lambda line: line.slow(SlowSection(station="RJ", limit_mps=0.1)), "limit_mps"),
-        (lambda line: line.slow(SlowSection(station="RJ", lasts_s=0.0)), "lasts_s"),
+        (lambda line: line.hold(TrainHold(station="WHY")), "station"),
+        (lambda line: line.hold(TrainHold(station="JG", hold_s=0.0)), "hold_s"),
+        (lambda line: line.slow(SlowSection(station="JG", limit_mps=0.1)), "limit_mps"),
+        (lambda line: line.slow(SlowSection(station="JG", lasts_s=0.0)), "lasts_s"),
     ],
 )
 def test_what_cannot_be_is_refused(found, call, field):
