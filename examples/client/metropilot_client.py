@@ -581,6 +581,7 @@ class Health(TypedDict):
     version: str
     jobs_running: int
     live_runs: int
+    live_runs_waiting: int
 
 
 class HistoryOut(TypedDict):
@@ -611,7 +612,9 @@ class InterventionOut(TypedDict):
 
 
 class JobOut(TypedDict):
-    """A job: its name, request, progress, status, result in short, and its error if it failed."""
+    """A job: its name, request, progress, status, result in short, its error if it failed, who began
+    it.
+    """
 
     id: str
     kind: Literal[
@@ -627,6 +630,7 @@ class JobOut(TypedDict):
     name: str
     summary: JobSummary
     project: str | None
+    user: str | None
 
 
 class JobSummary(TypedDict):
@@ -760,10 +764,14 @@ class LiveIn(TypedDict):
 
 
 class LiveOut(TypedDict):
-    """A live run; ``lever`` is null while the driver drives."""
+    """A live run; ``lever`` is null while the driver drives, ``place`` that in the queue while it
+    waits.
+    """
 
     id: str
     status: Literal["queued", "running", "done", "failed", "stopped", "interrupted"]
+    place: int | None
+    user: str | None
     request: dict[str, Any]
     time_s: float
     position_m: float
@@ -788,6 +796,14 @@ class NewArrival(TypedDict):
     scheduled_time_s: float
 
 
+class NewHold(TypedDict):
+    """Hold the next train of a running line that departs from a station."""
+
+    hold_s: NotRequired[float]
+    station: str
+    backward: NotRequired[bool]
+
+
 class NewLink(TypedDict):
     """New delay, jitter and loss of the link of a convoy."""
 
@@ -803,6 +819,15 @@ class NewRestriction(TypedDict):
     from_m: float
     to_m: float
     limit_mps: float
+
+
+class NewSlowSection(TypedDict):
+    """Restrict the speed of the section of a running line that begins at a station, for some time."""
+
+    limit_mps: NotRequired[float]
+    lasts_s: NotRequired[float]
+    station: str
+    backward: NotRequired[bool]
 
 
 class OperationIn(TypedDict):
@@ -896,6 +921,7 @@ class ProjectEntries(TypedDict):
     name: str
     notes: str
     created: str
+    user: str | None
     jobs: list[str]
     uploads: list[ProjectUpload]
 
@@ -908,12 +934,15 @@ class ProjectIn(TypedDict):
 
 
 class ProjectOut(TypedDict):
-    """A project: a named folder of jobs, lines, trainsets, policies and logs, with notes."""
+    """A project: a named folder of jobs, lines, trainsets, policies and logs, with notes; who began
+    it.
+    """
 
     id: str
     name: str
     notes: str
     created: str
+    user: str | None
 
 
 class ProjectUpload(TypedDict):
@@ -984,6 +1013,49 @@ class RunOut(TypedDict):
     steps: int
     total_steps: int | None
     score: float | None
+
+
+class RunningLineIn(TypedDict):
+    """A line that runs live, all trains at once, and its pace; it ends after ``lasts_s``."""
+
+    headway_s: NotRequired[int]
+    dwell_s: NotRequired[int]
+    dwell_window_s: NotRequired[int]
+    time_window_s: NotRequired[int]
+    turnround_s: NotRequired[int]
+    reserve: NotRequired[float]
+    zones: NotRequired[int]
+    age_s: NotRequired[float]
+    blocks: NotRequired[int | None]
+    transfer_loss: NotRequired[float]
+    efficiency_traction: NotRequired[float | None]
+    efficiency_braking: NotRequired[float | None]
+    line: NotRequired[str]
+    trainset: NotRequired[str]
+    load: NotRequired[str | None]
+    lasts_s: NotRequired[float]
+    pace: NotRequired[float]
+
+
+class RunningLineOut(TypedDict):
+    """A running line at its end: energy beside the floor, delays now and at most, recovery.
+
+    ``waits`` departures waited for the train ahead, ``stops`` trains were stopped on the way behind it;
+    ``recovered_s``: when every train was on time again after the last event, at ``disturbed_s``.
+    """
+
+    time_s: float
+    trains: int
+    energy_kwh: float
+    floor_kwh: float
+    gap_percent: float | None
+    largest_delay_s: float
+    delay_s: float
+    waits: int
+    stops: int
+    disturbed_s: float | None
+    recovered_s: float | None
+    outcome: str
 
 
 class SavedOut(TypedDict):
@@ -1135,6 +1207,17 @@ class UploadOut(TypedDict):
     notes: list[str]
 
 
+class UserOut(TypedDict):
+    """A user: role ``viewer`` reads only; jobs wait or run. Without a name there are no limits."""
+
+    name: str | None
+    role: Literal["user", "viewer"]
+    jobs: NotRequired[int | None]
+    jobs_most: NotRequired[int | None]
+    bytes_kept: NotRequired[int | None]
+    bytes_most: NotRequired[int | None]
+
+
 class VersionIn(TypedDict):
     """The next version of a line or trainset: its TOML document, and the version that was edited."""
 
@@ -1159,6 +1242,10 @@ class Server:
     def health(self) -> Health:
         """State of the server."""
         return json.loads(self.connection.send("GET", "/api/health", {}))
+
+    def user(self) -> UserOut:
+        """User of this request, with what it has under way and keeps, and how much of it is allowed."""
+        return json.loads(self.connection.send("GET", "/api/user", {}))
 
 
 class Catalogue:
@@ -1591,12 +1678,36 @@ class Live:
         return json.loads(self.connection.send("GET", "/api/live", {}))
 
     def start(self, body: LiveIn) -> LiveOut:
-        """Start a live run."""
+        """Start a live run; one that is `queued` waits at `place` of the queue and starts by itself."""
         return json.loads(self.connection.send("POST", "/api/live", {}, body))
 
     def convoy(self, body: ConvoyIn) -> LiveOut:
         """Start a live convoy; watched, paced and stopped like any live run."""
         return json.loads(self.connection.send("POST", "/api/convoys", {}, body))
+
+    def running_line(self, body: RunningLineIn) -> LiveOut:
+        """Start a running line with all its trains; watched, paced and stopped like any live run.
+
+        A row has the place and the delay of every train, the energy of all since the beginning and its
+        floor.
+        """
+        return json.loads(self.connection.send("POST", "/api/running-lines", {}, body))
+
+    def line_result(self, live_id: str) -> RunningLineOut:
+        """Result of a running line that has come to its end."""
+        return json.loads(self.connection.send("GET", f"/api/live/{quote(str(live_id), safe='')}/line", {}))
+
+    def hold(self, live_id: str, body: NewHold) -> EventOut:
+        """Hold the next train of a running line that departs from a station."""
+        return json.loads(
+            self.connection.send("POST", f"/api/live/{quote(str(live_id), safe='')}/hold", {}, body)
+        )
+
+    def slow(self, live_id: str, body: NewSlowSection) -> EventOut:
+        """Restrict the speed of a section of a running line for trains that depart from now on."""
+        return json.loads(
+            self.connection.send("POST", f"/api/live/{quote(str(live_id), safe='')}/slow", {}, body)
+        )
 
     def link(self, live_id: str, body: NewLink) -> EventOut:
         """Change delay, jitter and loss of the link of a convoy, or silence it."""
@@ -1646,7 +1757,7 @@ class Live:
         )
 
     def stop(self, live_id: str) -> EventOut:
-        """End a live run; it can be resumed."""
+        """End a live run, or take it out of the queue; it can be resumed."""
         return json.loads(self.connection.send("POST", f"/api/live/{quote(str(live_id), safe='')}/stop", {}))
 
     def resume(self, live_id: str) -> LiveOut:

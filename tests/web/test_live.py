@@ -10,7 +10,6 @@ import pytest
 from tests.web.program import Server
 
 from metropilot.web import Settings
-from metropilot.web.errors import Refused
 from metropilot.web.schemas.requests import LiveIn
 from metropilot.web.service import Service
 
@@ -162,17 +161,17 @@ def test_what_nobody_watches_is_stopped_and_can_be_resumed(tmp_path, monkeypatch
         service = Service(Settings(data=tmp_path, live_runs=1))
         asked = LiveIn.model_validate({**SECTION, "pace": 0})
         left = await service.go_live(asked)
-        with pytest.raises(Refused, match=f"stop one of {left.id}"):
-            await service.go_live(asked)
         monkeypatch.setattr("metropilot.web.service.ABANDONED_S", 0.3)
         watcher = left.listen()
         await anext(watcher)
         await asyncio.sleep(0.4)
-        with pytest.raises(Refused, match="at most 1"):
-            await service.go_live(asked)
+        second = await service.go_live(asked)
+        assert (second.known.status, second.known.place) == ("queued", 1), "a run that is watched stays"
         await watcher.aclose()
         await asyncio.sleep(0.4)
-        second = await service.go_live(asked)
+        assert second.waiting, "one that waits needs no viewer"
+        await service.stop_abandoned()
+        await second.wait_ready()
         row = service.store.job(left.id)
         assert (row.status, row.words) == ("stopped", "no viewer for 0.3 s; it can be resumed")
         assert [r.id for r in service.live_runs()] == [second.id, left.id]
@@ -185,13 +184,36 @@ def test_what_nobody_watches_is_stopped_and_can_be_resumed(tmp_path, monkeypatch
     asyncio.run(story())
 
 
-def test_a_run_waits_and_is_bounded_in_number(server):
-    lives = [server.post("/api/live", {**SECTION, "pace": 0}, code=201)["id"] for _ in range(4)]
-    server.post("/api/live", {**SECTION, "pace": 0}, code=429)
-    before = server.get(f"/api/live/{lives[0]}")["time_s"]
+def test_a_run_with_pace_0_does_not_move(server):
+    live = server.post("/api/live", {**SECTION, "pace": 0}, code=201)
+    assert (live["status"], live["place"], live["time_s"]) == ("running", None, 0)
     time.sleep(0.3)
-    assert server.get(f"/api/live/{lives[0]}")["time_s"] == before == 0
-    for live in lives:
+    assert server.get(f"/api/live/{live['id']}")["time_s"] == 0
+    server.post(f"/api/live/{live['id']}/stop")
+    watch(server, live["id"])
+
+
+def test_runs_beyond_capacity_wait_in_a_queue_and_start_by_themselves(server):
+    begun = [server.post("/api/live", {**SECTION, "pace": 0}, code=201) for _ in range(7)]
+    assert [run["status"] for run in begun] == ["running"] * 4 + ["queued"] * 3
+    assert [run["place"] for run in begun] == [None] * 4 + [1, 2, 3]
+    lives = [run["id"] for run in begun]
+    health = server.get("/api/health")
+    assert (health["live_runs"], health["live_runs_waiting"]) == (4, 3)
+    refused = server.post(f"/api/live/{lives[5]}/pace", {"pace": 1}, code=409)["error"]
+    assert refused["message"] == "the run waits, place 2 in the queue"
+    words = {row["id"]: row["words"] for row in server.get("/api/jobs?kind=live&status=queued")}
+    assert words == {live: f"place {k} in the queue" for k, live in enumerate(lives[4:], 1)}
+    server.post(f"/api/live/{lives[4]}/stop")  # out of the queue
+    assert server.get(f"/api/jobs/{lives[4]}")["words"] == "not started"
+    assert [server.get(f"/api/live/{live}")["place"] for live in lives[5:]] == [1, 2]
+    server.post(f"/api/live/{lives[0]}/stop")
+    seen = watch(server, lives[5], until=lambda kind, data: kind == "scene")
+    assert [(kind, data) for _, kind, data in seen[:-1]] == [("place", {"place": k}) for k in (2, 1)]
+    assert server.get(f"/api/live/{lives[6]}")["place"] == 1
+    resumed = server.post(f"/api/live/{lives[4]}/resume", code=201)
+    assert (resumed["status"], resumed["place"]) == ("queued", 2)
+    for live in (lives[6], lives[4], *lives[1:4], lives[5]):
         server.post(f"/api/live/{live}/stop")
         watch(server, live)
 
@@ -237,11 +259,18 @@ def test_runs_survive_the_server(tmp_path):
     seen = watch(first, live, until=reached(400))
     pace(first, live, 1)
     job = first.post("/api/jobs/compare", {**SECTION, "seeds": 50}, code=202)["id"]
+    others = [first.post("/api/live", {**SECTION, "pace": 0}, code=201)["id"] for _ in range(4)]
+    assert first.get(f"/api/live/{others[3]}")["place"] == 1
     first.kill()
     again = Server(tmp_path)
     try:
         assert again.get(f"/api/jobs/{live}")["status"] == "interrupted"
         assert again.get(f"/api/jobs/{job}")["status"] == "interrupted"
+        waited = again.get(f"/api/jobs/{others[3]}")
+        assert waited["status"] == "interrupted"
+        assert waited["words"] == "not started: the server was restarted; it can be resumed"
+        assert not again.get(f"/api/jobs/{others[0]}")["words"].startswith("not started")
+        assert again.post(f"/api/live/{others[3]}/resume", code=201)["status"] == "running"
         again.post(f"/api/live/{live}/resume", code=201)
         replayed = rows(watch(again, live))
         before = rows(seen)

@@ -13,7 +13,7 @@ from metropilot.convoy import ConvoyRequest, Link
 from metropilot.drivers import DRIVERS
 from metropilot.errors import InputError
 from metropilot.evaluate import SERIES_STYLES, RunSpec, driver_styles
-from metropilot.operation import OperationOptions
+from metropilot.operation import OperationOptions, SlowSection, TrainHold
 from metropilot.railway import Restriction
 from metropilot.sim import Disturbance, TimetableUpdate
 from metropilot.units import KINDS
@@ -84,7 +84,8 @@ def test_a_form_shows_what_is_declared(monkeypatch, tmp_path):
     asyncio.run(build())
     defaults = {"count": 3, "from_m": 700.0, "to_m": 900.0, "limit_mps": 40 / 3.6, "scheduled_time_s": 101.0}
     shown.pop("Seed of the search")
-    for kind in (Disturbance, Restriction, TimetableUpdate, Link, ConvoyRequest, OperationOptions, RunSpec):
+    kinds = (Disturbance, Restriction, TimetableUpdate, Link, ConvoyRequest, OperationOptions, RunSpec)
+    for kind in (*kinds, TrainHold, SlowSection):
         for name, spec in field_specs(kind).items():
             if not spec.label or spec.range is None:
                 continue
@@ -96,7 +97,8 @@ def test_a_form_shows_what_is_declared(monkeypatch, tmp_path):
             if spec.range.high < 1e9 and name != "count":  # the server has its own bound of that
                 assert f"{displayed(spec.range.high):.10g}" in hint, name
             assert field.props["step"] == pytest.approx(displayed(spec.step)), name
-            default = defaults.get(name, field_default(kind, name))
+            own = {} if kind is SlowSection else defaults
+            default = own.get(name, field_default(kind, name))
             value = (
                 None
                 if default is None or default == float("inf")

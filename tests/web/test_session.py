@@ -2,6 +2,7 @@
 
 import asyncio
 import json
+from contextlib import suppress
 from multiprocessing import Pipe
 from multiprocessing.process import BaseProcess
 from threading import Thread
@@ -85,8 +86,9 @@ def events_of(engine, kept):
 
     async def story():
         ours, theirs = Pipe()
-        session = Session("live-1", {"pace": ORDER["pace"]}, Spare(Worker(theirs, engine), ours), kept)
-        session.start(ORDER)
+        ended = []
+        session = Session("live-1", {"pace": ORDER["pace"]}, ORDER, kept, lambda: ended.append(session.over))
+        session.start(Spare(Worker(theirs, engine), ours))
         seen = []
 
         async def watch():
@@ -96,6 +98,7 @@ def events_of(engine, kept):
                     seen.append((kind, json.loads(data)))
 
         await asyncio.wait_for(watch(), LIMIT_S)
+        assert ended == [True], "the queue is told once, when the run is over"
         return seen, session
 
     return asyncio.run(story())
@@ -132,3 +135,33 @@ def test_a_store_that_fails_ends_the_run(broken):
     words = "RuntimeError: disk full" if broken == "rows" else "TypeError: boom"
     assert seen[-1] == ("end", {"status": "failed", "message": f"internal error: {words}"})
     assert session.over
+
+
+class Planner(BaseProcess):
+    """A process that plans and listens to nobody."""
+
+    def __init__(self, pipe):
+        self.pipe = pipe
+
+    def join(self, timeout=None):
+        """Return at once: it has ended."""
+
+    def kill(self):
+        """Close the pipe, as the end of a process does; it may be closed already."""
+        with suppress(OSError):
+            self.pipe.close()
+
+
+def test_a_run_that_plans_is_stopped_at_once():
+    async def story():
+        ours, theirs = Pipe()
+        kept = []
+        session = Session("live-1", {"pace": 1.0}, ORDER, lambda *told: kept.append(told[1:]), lambda: None)
+        session.start(Spare(Planner(theirs), ours))
+        await asyncio.sleep(0.05)
+        assert await asyncio.wait_for(session.stop(), LIMIT_S) == 0.0
+        return session.known, kept
+
+    known, kept = asyncio.run(story())
+    assert (known.status, known.error) == ("stopped", None)
+    assert kept == [("end", {"status": "stopped", "error": None})]

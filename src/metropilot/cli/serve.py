@@ -18,6 +18,7 @@ EXAMPLES = {
         "metropilot serve",
         "metropilot serve --port 9000 --data console",
         "METROPILOT_TOKEN=$(openssl rand -hex 16) metropilot serve --host 0.0.0.0",
+        "metropilot serve --users users.txt --public-host console.example",
     ),
 }
 
@@ -35,6 +36,26 @@ def serve_command(
         str | None,
         typer.Option(envvar="METROPILOT_TOKEN", help="What a browser or program must present."),
     ] = None,
+    users: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Users: a line NAME = TOKEN, ROLE each; roles user and viewer."),
+    ] = None,
+    user_header: Annotated[
+        str | None,
+        typer.Option(metavar="HEADER", help="Header in which a trusted proxy names the user."),
+    ] = None,
+    trusted_proxy: Annotated[
+        list[str] | None,
+        typer.Option(metavar="ADDRESS", help="Address of a proxy whose header counts; repeatable."),
+    ] = None,
+    public_host: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME", help="Name under which a proxy serves the console; repeatable."),
+    ] = None,
+    user_jobs: Annotated[int, typer.Option(min=1, help="Jobs that a named user may have under way.")] = 8,
+    user_mb: Annotated[
+        float, typer.Option("--user-mb", min=0.01, help="Runs and uploads that a named user may keep, MB.")
+    ] = 2000.0,
     workers: Annotated[int, typer.Option(min=1, help="Drives and comparisons computed at once.")] = 1,
     upload_mb: Annotated[
         float, typer.Option("--upload-mb", min=0.01, max=1000.0, help="Largest upload, MB.")
@@ -50,7 +71,7 @@ def serve_command(
     restart interrupts can be resumed.
     """
     try:
-        from metropilot.web import Settings, data_folder, serve
+        from metropilot.web import Settings, data_folder, read_users, serve
 
         import_check()
     except ModuleNotFoundError as error:
@@ -62,6 +83,12 @@ def serve_command(
         host=host,
         port=port or free_port(host),
         token=token,
+        users=() if users is None else read_users(users),
+        user_header=user_header,
+        trusted_proxies=tuple(trusted_proxy or ()),
+        public_hosts=tuple(public_host or ()),
+        user_jobs=user_jobs,
+        user_bytes=int(user_mb * 1_000_000),
         parallel_jobs=workers,
         upload_bytes=int(upload_mb * 1_000_000),
         job_s=job_s,
@@ -70,7 +97,7 @@ def serve_command(
     from metropilot._io import check_writable
 
     check_writable(settings.data)
-    query = "/?token=…" if settings.token else "/"
+    query = "/?token=…" if settings.token or any(user.token for user in settings.users) else "/"
     shown = f"[{host}]" if ":" in host else host
     url = f"http://{shown}:{settings.port}"
     if as_json:

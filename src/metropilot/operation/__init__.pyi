@@ -59,6 +59,10 @@ from .report import plan_trips as plan_trips
 from .report import power_figure as power_figure
 from .report import train_paths as train_paths
 from .report import write_operation as write_operation
+from .running import RunningLine as RunningLine
+from .running import RunningTrain as RunningTrain
+from .running import SlowSection as SlowSection
+from .running import TrainHold as TrainHold
 from .search import best_offset as best_offset
 from .search import choose_plans as choose_plans
 from .search import find_timetable as find_timetable

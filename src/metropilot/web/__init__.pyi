@@ -8,3 +8,5 @@ from .server import serve as serve
 from .service import Service as Service
 from .settings import Settings as Settings
 from .settings import data_folder as data_folder
+from .users import User as User
+from .users import read_users as read_users

@@ -29,7 +29,7 @@ from metropilot.railway import (
 )
 from metropilot.sim import Trajectory
 from metropilot.web.errors import Refused
-from metropilot.web.service import Service
+from metropilot.web.service import Service, live_kind
 from metropilot.web.store import JobRow
 from metropilot.web.work.learning import PROGRESS
 from metropilot.web.work.plans import numbers, pieces, station
@@ -332,6 +332,7 @@ KINDS = {
     "drive": "Drive",
     "live": "Live run",
     "convoy": "Convoy",
+    "running": "Running line",
     "compare": "Comparison",
     "journey": "Journey",
     "line": "Line",
@@ -341,12 +342,14 @@ KINDS = {
     "learn": "Learning run",
     "study": "Study",
 }
-"""Kinds of jobs in words; a live run with followers is a convoy."""
+"""Kinds of jobs in words; a live run with followers is a convoy, one of a whole line a running line."""
 
 
 def kind_of(row: JobRow) -> str:
     """Kind of a job, one of ``KINDS``."""
-    return "convoy" if "follower" in row.request else row.kind
+    if row.kind != "live":
+        return row.kind
+    return {"convoy": "convoy", "line": "running", "run": "live"}[live_kind(row.request)]
 
 
 def page_of(row: JobRow) -> str:
@@ -360,7 +363,8 @@ def page_of(row: JobRow) -> str:
         return f"/learn?study={row.request['study']}"
     if kind in {"compare", "journey", "line", "learn", "fit"}:
         return f"/{kind}?job={row.id}"
-    return f"/convoy?run={row.id}" if kind == "convoy" else f"/?run={row.id}"
+    page = {"convoy": "/convoy", "running": "/line"}.get(kind, "/")
+    return f"{page}?run={row.id}"
 
 
 def describe_job(row: JobRow) -> str:
@@ -374,8 +378,8 @@ def describe_job(row: JobRow) -> str:
         return body["name"] if kind == "campaign" else f"{body['trainset']} · logs: {len(body['logs'])}"
     if kind == "export":
         return f"{body['driver']} · {body['line']} · {body['to']} · {body['number']}"
-    if kind == "line":
-        return f"{body['line']} · {body['day'] or 'every ' + str(body['headway_s']) + ' s'}"
+    if kind in {"line", "running"}:
+        return f"{body['line']} · {body.get('day') or 'every ' + str(body['headway_s']) + ' s'}"
     ends = f"{body['origin']} – {body['destination']}" if body["origin"] else "every station"
     what = {"compare": ", ".join(body.get("drivers", ())), "convoy": f"convoy of {body.get('trainsets')}"}
     parts = [body["line"], ends, what.get(kind, body.get("driver", ""))]
@@ -384,15 +388,18 @@ def describe_job(row: JobRow) -> str:
 
 
 def result_of(service: Service, job: str, kinds: Sequence[str]) -> Any:  # noqa: ANN401 (of that kind of job)
-    """Result of a job of one of some kinds.
+    """Result of a job of one of some kinds, as :func:`kind_of` has them.
 
     Raises:
         Refused: No such job, it is of another kind, or it has no result (404).
     """
     row = service.store.job(job)
-    found = service.store.result(job) if row.kind in kinds else None
+    kind = kind_of(row)
+    found = service.store.result(job) if kind in kinds else None
     if found is None:
-        words = f"no result: the job is {row.status}" if row.kind in kinds else f"the job is a {row.kind}"
+        words = (
+            f"no result: the job is {row.status}" if kind in kinds else f"the job is a {KINDS[kind].lower()}"
+        )
         raise Refused(words, 404, field="id", value=job)
     return found
 
@@ -406,8 +413,6 @@ def difference(service: Service, first: str, second: str) -> dict[str, Any]:
     jobs, sections, told = (first, second), [], []
     for job in jobs:
         row = service.store.job(job)
-        if kind_of(row) == "convoy":
-            raise Refused("the job is a convoy", 404, field="id", value=job)
         told.append(result_of(service, job, ("drive", "live")))
         sections.append(_section_words(service, row.request))
     if sections[0] != sections[1]:

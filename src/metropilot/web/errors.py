@@ -137,14 +137,14 @@ RESPONSES: dict[int | str, dict[str, Any]] = {
     for code, words in {
         400: "not readable",
         401: "no token",
-        403: "request from another site",
+        403: "request from another site, or a change by a viewer",
         404: "not here",
         405: "not this way",
         409: "not now",
         413: "too large",
         415: "not JSON",
         422: "not usable: field, value, unit and what is allowed",
-        429: "too much at once",
+        429: "too much at once, or at the limit of the user",
     }.items()
 }
 """Error responses of every route, by status."""

@@ -14,6 +14,7 @@ from zipfile import ZIP_DEFLATED, BadZipFile, LargeZipFile, ZipFile, ZipInfo
 from pydantic import BaseModel, ValidationError
 
 from metropilot.errors import InputError
+from metropilot.web.catalogue import kind_of
 from metropilot.web.errors import Refused
 from metropilot.web.schemas.requests import (
     CompareIn,
@@ -44,7 +45,10 @@ BODIES: dict[str, tuple[type[BaseModel], type[BaseModel]]] = {
     "fit": (FitIn, FitOut),
     "live": (LiveIn, DriveOut),
 }
-"""Request and result of the jobs that an archive holds; learning, studies and campaigns are left out."""
+"""Request and result of the jobs that an archive holds.
+
+Learning, studies, campaigns and running lines are left out.
+"""
 RESTING = (*OVER, "interrupted")
 
 
@@ -130,7 +134,7 @@ def _is_file_of(kind: str, name: str) -> bool:
 
 
 def _is_kept(row: JobRow) -> bool:
-    return row.kind in BODIES and row.status in RESTING
+    return row.kind in BODIES and row.status in RESTING and kind_of(row) != "running"
 
 
 async def read_archive(service: Service, content: bytes) -> ProjectRow:
@@ -138,7 +142,9 @@ async def read_archive(service: Service, content: bytes) -> ProjectRow:
 
     Raises:
         InputError: The archive, or something in it, cannot be used; one line names the entry.
+        Refused: A viewer imports it (403), or the user keeps too much (429).
     """
+    service.check_limits(size=len(content))
     files = _unpack(content, service.settings.archive_bytes)
     try:
         index = json.loads(files.pop(INDEX))

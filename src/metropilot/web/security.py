@@ -1,8 +1,7 @@
-"""ASGI middleware that checks host, origin, token and size of every request."""
+"""ASGI middleware that checks host, origin, user, role and size of every request."""
 
 from __future__ import annotations
 
-import hmac
 from http.cookies import CookieError, SimpleCookie
 from urllib.parse import parse_qsl, urlencode, urlsplit
 
@@ -13,9 +12,13 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from metropilot.web.errors import answer
 from metropilot.web.settings import LOOPBACK, Settings
+from metropilot.web.users import NAME, VIEWER, User, answer_to, find_token
 
 COOKIE = "metropilot_token"
 SAFE = ("GET", "HEAD", "OPTIONS")
+READING = ("/api/section", "/api/plan", "/api/front", "/api/journey", "/_nicegui_ws/")
+"""Beginnings of paths that change nothing, whatever the method: what is computed and answered at once, and
+the channel of the pages, whose buttons the service refuses to a viewer."""
 OVERHEAD = 10_000
 """Bytes that a multipart upload adds to its file."""
 HEADERS = {
@@ -46,9 +49,11 @@ class Guard:
         if scope["type"] not in {"http", "websocket"}:
             await self.app(scope, receive, send)
             return
-        refusal = self._refusal(scope)
+        user = self._user_of(scope)
+        refusal = self._refusal(scope, user)
         if refusal is None:
-            await self._through(scope, receive, send)
+            with answer_to(user or User()):
+                await self._through(scope, receive, send)
         elif scope["type"] == "websocket":
             await send({"type": "websocket.close", "code": 1008})
         else:
@@ -63,10 +68,32 @@ class Guard:
             if not bounded.left:
                 raise
 
-    def _refusal(self, scope: Scope) -> Response | None:
+    def _user_of(self, scope: Scope) -> User | None:
+        """User who sends a request; None: one of this server is needed and it is nobody's."""
+        settings, headers = self.settings, Headers(scope=scope)
+        if settings.user_header is not None and settings.trusts(_peer(scope)):
+            name = headers.get(settings.user_header)
+            if name is not None:
+                return self._named(name)
+        if not (settings.token or settings.names_users):
+            return User()
+        return self._of_token(_given_token(headers))
+
+    def _named(self, name: str) -> User | None:
+        """User whom a proxy names; where a file lists the users, others read only."""
+        if not NAME.fullmatch(name):
+            return None
+        listed = {user.name: user for user in self.settings.users}
+        return listed.get(name) or (User(name, VIEWER) if listed else User(name))
+
+    def _of_token(self, given: str) -> User | None:
+        shared = (User(token=self.settings.token),) if self.settings.token else ()
+        return find_token((*self.settings.users, *shared), given)
+
+    def _refusal(self, scope: Scope, user: User | None) -> Response | None:
         headers = Headers(scope=scope)
         host = headers.get("host", "")
-        if self.settings.is_local and _name(host) not in LOOPBACK:
+        if self.settings.is_local and _name(host) not in (*LOOPBACK, *self.settings.public_hosts):
             return answer(403, {"message": "request for another host", "field": "Host", "value": host[:80]})
         origin = headers.get("origin")
         unsafe = scope["type"] == "websocket" or scope["method"] not in SAFE
@@ -74,8 +101,10 @@ class Guard:
             return answer(
                 403, {"message": "request from another site", "field": "Origin", "value": origin[:80]}
             )
-        if self.settings.token is not None and not self._presents(scope, headers):
+        if user is None:
             return self._welcome(scope)
+        if not user.may_change and unsafe and not scope["path"].startswith(READING):
+            return answer(403, user.refusal)
         length = headers.get("content-length", "0")
         largest = self._largest_body_bytes(scope)
         if scope["type"] == "http" and (not length.isdigit() or int(length) > largest):
@@ -90,34 +119,32 @@ class Guard:
             return max(self.settings.upload_bytes, self.settings.log_bytes) + OVERHEAD
         return self.settings.request_bytes
 
-    def _presents(self, scope: Scope, headers: Headers) -> bool:
-        bearer = headers.get("authorization", "")
-        given = bearer.removeprefix("Bearer ") if bearer.startswith("Bearer ") else ""
-        if not given:
-            try:
-                given = SimpleCookie(headers.get("cookie", "")).get(COOKIE, None)
-                given = given.value if given else ""
-            except CookieError:
-                given = ""
-        del scope
-        return hmac.compare_digest(given.encode(), (self.settings.token or "").encode())
-
     def _welcome(self, scope: Scope) -> Response:
         """Turn ``?token=`` of a browser into a cookie by a redirect; refuse other requests."""
         if scope["type"] == "http" and scope["method"] == "GET":
             request = Request(scope)
             query = dict(parse_qsl(request.url.query))
             given = query.pop("token", "")
-            if hmac.compare_digest(given.encode(), (self.settings.token or "").encode()):
+            if self._of_token(given) is not None:
                 path = "/" + request.url.path.lstrip("/\\")
                 response = RedirectResponse(path + (f"?{urlencode(query)}" if query else ""), 303)
-                response.set_cookie(COOKIE, given, httponly=True, samesite="strict", max_age=30 * 86_400)
+                # behind a proxy with TLS the cookie is sent over TLS only
+                secure = self.settings.trusts(_peer(scope)) and (
+                    request.headers.get("x-forwarded-proto") == "https"
+                )
+                told = {"httponly": True, "samesite": "strict", "max_age": 30 * 86_400, "secure": secure}
+                response.set_cookie(COOKIE, given, **told)
                 return response
         if scope["path"].startswith("/api"):
-            return answer(
-                401, {"message": "a token is needed", "field": "Authorization", "allowed": "Bearer TOKEN"}
-            )
-        return PlainTextResponse("metropilot: open the address with ?token=... once\n", 401)
+            if self.settings.token or any(user.token for user in self.settings.users):
+                told = {"message": "a token is needed", "field": "Authorization", "allowed": "Bearer TOKEN"}
+            else:
+                told = {"message": "no user is named", "field": self.settings.user_header}
+                told["allowed"] = "a name, set by the trusted proxy"
+            return answer(401, told)
+        return PlainTextResponse(
+            "metropilot: sign in at the proxy, or open the address with ?token=... once\n", 401
+        )
 
 
 class Bounded:
@@ -149,6 +176,24 @@ def _with_headers(send: Send) -> Send:
         await send(message)
 
     return send_with_headers
+
+
+def _peer(scope: Scope) -> str | None:
+    """Address of the machine at the other end of the connection."""
+    client = scope.get("client")
+    return client[0] if client else None
+
+
+def _given_token(headers: Headers) -> str:
+    """Token of a request, from its header or cookie; empty if there is none."""
+    bearer = headers.get("authorization", "")
+    if bearer.startswith("Bearer "):
+        return bearer.removeprefix("Bearer ")
+    try:
+        found = SimpleCookie(headers.get("cookie", "")).get(COOKIE)
+    except CookieError:
+        return ""
+    return found.value if found else ""
 
 
 def _name(host: str) -> str:

@@ -15,10 +15,11 @@ import metropilot
 from metropilot.web import errors
 from metropilot.web.api import campaigns, catalogue, docs, fits, jobs, live, planning, projects
 from metropilot.web.errors import Refused
-from metropilot.web.schemas.responses import Health
+from metropilot.web.schemas.responses import Health, UserOut
 from metropilot.web.security import Guard
 from metropilot.web.service import Service
 from metropilot.web.settings import Settings
+from metropilot.web.users import present_user
 
 METHODS = ("GET", "HEAD", "OPTIONS", "POST", "PUT", "PATCH", "DELETE", "TRACE")
 SUMMARY = """Drive, compare, plan and learn over HTTP. SI units, in the names of the fields.
@@ -58,12 +59,23 @@ def make_api(service: Service) -> FastAPI:
     @app.get("/api/health", response_model=Health, tags=["server"])
     def health() -> dict[str, object]:
         """State of the server."""
-        lives = sum(not session.over for session in service.sessions.values())
+        lives = sum(session.known.status == "running" for session in service.sessions.values())
         return {
             "version": metropilot.__version__,
             "jobs_running": service.store.count_waiting(),
             "live_runs": lives,
+            "live_runs_waiting": len(service.queue),
         }
+
+    @app.get("/api/user", response_model=UserOut, tags=["server"])
+    def user() -> dict[str, object]:
+        """User of this request, with what it has under way and keeps, and how much of it is allowed."""
+        found, bounds = present_user(), service.settings
+        told: dict[str, object] = {"name": found.name, "role": found.role}
+        if found.name is None:
+            return told
+        told |= {"jobs": service.store.count_of(found.name), "jobs_most": bounds.user_jobs}
+        return told | {"bytes_kept": service.kept_bytes(found.name), "bytes_most": bounds.user_bytes}
 
     for module in (catalogue, planning, jobs, fits, campaigns, projects, live):
         app.include_router(module.routes(service), prefix="/api")
@@ -120,4 +132,6 @@ def serve(settings: Settings) -> None:
         server_header=False,
         timeout_graceful_shutdown=2,
         lifespan="on",
+        # else the address of a proxy, by which its headers are trusted, would be replaced by what they say
+        proxy_headers=False,
     )

@@ -17,7 +17,7 @@ from metropilot.operation import OperationOptions
 from metropilot.policy import POLICY_FILE
 from metropilot.railway import document_text, list_lines, list_trainsets
 from metropilot.web.errors import Refused, detail_of
-from metropilot.web.live.session import Session, Spare, start_spare
+from metropilot.web.live.session import Session, Spare, place_words, start_spare
 from metropilot.web.pools import LONG, Pools, explain
 from metropilot.web.schemas.requests import (
     CampaignIn,
@@ -31,28 +31,40 @@ from metropilot.web.schemas.requests import (
     LiveIn,
     OperationIn,
     PlanIn,
+    RunningLineIn,
     SectionIn,
     StudyIn,
 )
 from metropilot.web.schemas.requests import request_of as resolve
 from metropilot.web.settings import Settings
 from metropilot.web.store import OVER, JobRow, JobStore, UploadRow, VersionRow
+from metropilot.web.users import check_may_change, present_user
 from metropilot.web.work import campaigns, drives, exports, fits, learning, operations, plans
 from metropilot.web.work.plans import LOG, LOG_SUFFIX
 
 if TYPE_CHECKING:
     from metropilot.convoy import ConvoyRequest
+    from metropilot.web.live.line import RunningRequest
 
 SUFFIXES = (".toml", ".json", ".safetensors", LOG_SUFFIX)
 SAVE_STEPS = 25
 """Control periods between two writes of a live run's progress; at most these are lost with the server."""
 ABANDONED_S = 120.0
 """Time without viewers or requests after which a live run is stopped; it can be resumed."""
+NOT_STARTED = "not started"
+"""Words of a job that waited when the server ended."""
 RESUMABLE = ("interrupted", "stopped")
+LIVE_BODIES = {"convoy": ConvoyIn, "line": RunningLineIn, "run": LiveIn}
+"""Requests of live runs by what is driven."""
 LISTED = 6
 """Number of live runs to resume that are listed, the newest first."""
 FORGET = 50
 """Ended live runs kept in memory with their events, for viewers that come back."""
+
+
+def live_kind(request: dict[str, Any]) -> str:
+    """Kind of a live run, one of ``LIVE_BODIES``, by its request."""
+    return "convoy" if "follower" in request else "line" if "headway_s" in request else "run"
 
 
 class Service:
@@ -69,6 +81,7 @@ class Service:
         self.pools = Pools(settings)
         self.futures: dict[str, Future[Any]] = {}
         self.sessions: dict[str, Session] = {}
+        self.queue: list[Session] = []
         self.spare: Spare | None = None
         self.closing = False
         self._watch: asyncio.Task[None] | None = None
@@ -76,7 +89,8 @@ class Service:
     async def open(self) -> None:
         """Mark unfinished jobs of an earlier server as interrupted and start the workers."""
         for job in self.store.list_unfinished():
-            words = "the server was restarted; it can be resumed"
+            begun = job.status == "running" or job.progress > 0
+            words = f"{'' if begun else NOT_STARTED + ': '}the server was restarted; it can be resumed"
             self.store.update(job.id, status="interrupted", words=words)
             if job.kind == "learn" and job.run:
                 self._mark_run(job.run)
@@ -94,6 +108,41 @@ class Service:
         if self.spare:
             self.spare.process.kill()
         await asyncio.to_thread(self.pools.stop)
+
+    # ------------------------------------------------------------------------------------------ users
+    def check_limits(self, *, jobs: int = 0, size: int = 0) -> None:
+        """Refuse what a viewer may not do, or what would exceed a limit of a named user.
+
+        Args:
+            jobs: Jobs or live runs that are to be added.
+            size: Bytes that are to be added.
+
+        Raises:
+            Refused: The present user reads only (403), or is at a limit (429).
+        """
+        check_may_change()
+        name = present_user().name
+        if name is None:
+            return
+        most = self.settings.user_jobs
+        if jobs and self.store.count_of(name) + jobs > most:
+            words = f"{name} has {self.store.count_of(name)} jobs that wait or run; stop one, or wait"
+            raise Refused(words, 429, field="user", value=name, allowed=f"at most {most}")
+        kept = self.kept_bytes(name)
+        if kept + size > self.settings.user_bytes:
+            words = f"{name} keeps {kept / 1e6:.1f} MB of runs and uploads; delete some"
+            allowed = f"at most {self.settings.user_bytes / 1e6:g} MB"
+            raise Refused(words, 429, field="user", value=name, allowed=allowed)
+
+    def kept_bytes(self, user: str) -> int:
+        """Size of the results, files and uploads of a user, bytes."""
+        size, places = self.store.kept_by(user)
+        for place in places:
+            path = self.root / place
+            for file in [path] if path.is_file() else path.rglob("*"):
+                with suppress(OSError):  # a file that is being replaced
+                    size += file.stat().st_size if file.is_file() else 0
+        return size
 
     # ------------------------------------------------------------------------------------------ names
     def paths(self, kind: str | None = None) -> dict[str, str]:
@@ -236,6 +285,7 @@ class Service:
 
     async def _take(self, name: str, content: bytes) -> tuple[str, dict[str, Any]]:
         """Check a file and keep it; return its new name and what it holds."""
+        self.check_limits(size=len(content))
         shown = Path(name.replace("\\", "/")).name[:80] or "file"
         suffix = Path(shown).suffix.lower()
         if suffix not in SUFFIXES:
@@ -347,6 +397,7 @@ class Service:
         Raises:
             MetropilotError: It cannot be planned; nothing is kept.
         """
+        self.check_limits()
         found = await self.journey(body.model_dump())
         job = self.store.new_job("journey", body.model_dump())
         self.store.update(job, status="done", progress=1.0, result=found)
@@ -367,8 +418,9 @@ class Service:
         """Remove a job with its files; of a learning run the policy, too.
 
         Raises:
-            Refused: No such job (404), or it waits or runs (409).
+            Refused: A viewer does it (403), no such job (404), or it waits or runs (409).
         """
+        check_may_change()
         row = self.store.job(job)
         if row.status in {"queued", "running"}:
             raise Refused(
@@ -391,8 +443,9 @@ class Service:
 
         Raises:
             InputError: The job is not possible.
-            Refused: Too many jobs wait (429).
+            Refused: Too many jobs wait, or too many of the user (429); a viewer (403).
         """
+        self.check_limits(jobs=1)
         if self.store.count_waiting() >= self.settings.queued_jobs:
             raise Refused("too many jobs wait", 429)
         if isinstance(body, LearnIn):
@@ -435,6 +488,7 @@ class Service:
             return
         session = self.sessions.get(job)
         if session is not None and not session.over:
+            check_may_change()
             asyncio.run_coroutine_threadsafe(session.stop(), session.loop)
             return
         self.store.update(job, stop=1)
@@ -453,6 +507,7 @@ class Service:
         row = self.store.job(job)
         if row.kind == "live" or row.status in {"queued", "running", "done"}:
             raise Refused(f"a job that is {row.status} cannot be resumed", 409, field="id", value=job)
+        self.check_limits(jobs=1)
         self.store.update(job, status="queued", words="", stop=0, error=None)
         self._schedule(job, row.kind, row.request, row.run)
 
@@ -553,23 +608,24 @@ class Service:
             runs.update(record, status="interrupted")
 
     # ------------------------------------------------------------------------------------------ live runs
-    async def go_live(self, body: LiveIn | ConvoyIn, job: str | None = None) -> Session:
+    async def go_live(self, body: LiveIn | ConvoyIn | RunningLineIn, job: str | None = None) -> Session:
         """Start a live run, or resume one that was interrupted.
+
+        One that finds ``live_runs`` under way waits in a queue and starts by itself.
 
         Raises:
             InputError: The run cannot be driven.
-            Refused: Too many live runs (429), or it failed to start (422).
+            Refused: Too many live runs wait (429), or it failed to start (422).
         """
+        self.check_limits(jobs=1)
         await self.stop_abandoned()
-        running = [s.id for s in self.sessions.values() if not s.over]
-        if len(running) >= self.settings.live_runs:
-            words = f"at most {self.settings.live_runs} live runs at once; stop one of {', '.join(running)}"
-            raise Refused(words, 429)
-        convoy = isinstance(body, ConvoyIn)
-        request: Any = self._convoy(body) if convoy else self._run(body)
+        drives, request = self._live_request(body)
+        if len(self.queue) >= self.settings.queued_jobs:
+            words = f"{self.settings.live_runs} live runs are under way and {len(self.queue)} wait"
+            raise Refused(words, 429, allowed=f"at most {self.settings.queued_jobs} that wait")
         order: dict[str, Any] = {
             "request": request,
-            "convoy": convoy,
+            "drives": drives,
             "pace": body.pace,
             "root": str(self.root),
         }
@@ -579,15 +635,35 @@ class Service:
         else:
             order |= {"journal": self.store.journal(job), "step": int(self.store.job(job).progress)}
         order["job"] = job
-        spare, self.spare = self.spare or start_spare(self.settings.worker_bytes), None
-        session = Session(job, body.model_dump(), spare, self._keep)
+        session = Session(
+            job, body.model_dump(), order, self._keep, self._start_queued, self.store.job(job).user
+        )
         self._forget_old()
         self.sessions[job] = session
-        self.store.update(job, status="running", words="", error=None)
-        session.start(order)
-        self.spare = start_spare(self.settings.worker_bytes)
-        await session.wait_ready()
+        self.store.update(job, status="queued", words="", error=None)
+        self.queue.append(session)
+        self._start_queued()
+        if not session.waiting:
+            await session.wait_ready()
         return session
+
+    def _start_queued(self) -> None:
+        """Start the live runs that have found a place, the first of the queue first; tell the others."""
+        if self.closing:
+            return
+        self.queue = [session for session in self.queue if session.waiting]
+        under_way = sum(s.known.status == "running" for s in self.sessions.values())
+        while self.queue and under_way < self.settings.live_runs:
+            spare, self.spare = self.spare or start_spare(self.settings.worker_bytes), None
+            session = self.queue.pop(0)
+            self.store.update(session.id, status="running", words="")
+            session.start(spare)
+            self.spare = start_spare(self.settings.worker_bytes)
+            under_way += 1
+        for place, session in enumerate(self.queue, 1):
+            if place != session.known.place:
+                session.say_place(place)
+                self.store.update(session.id, words=place_words(place))
 
     async def resume_live(self, job: str) -> Session:
         """Resume a live run: repeat its steps and events, then continue in real time.
@@ -598,8 +674,7 @@ class Service:
         row = self.store.job(job)
         if row.kind != "live" or row.status not in RESUMABLE:
             raise Refused(f"a {row.kind} that is {row.status} cannot be resumed", 409, field="id", value=job)
-        kind = ConvoyIn if "follower" in row.request else LiveIn
-        return await self.go_live(kind.model_validate(row.request), job)
+        return await self.go_live(LIVE_BODIES[live_kind(row.request)].model_validate(row.request), job)
 
     def live_run(self, job: str) -> JobRow:
         """Stored row of a live run or convoy, also of an earlier server, or of a drive.
@@ -613,20 +688,38 @@ class Service:
         return row
 
     def live_runs(self) -> list[JobRow]:
-        """Running live runs, and the newest of those that can be resumed."""
+        """Running live runs, those that wait in their order, and the newest of those that can be resumed."""
         rows = self.store.jobs("live", limit=1000)
         going = [row for row in rows if row.status == "running" and row.id in self.sessions]
+        places = {session.id: session.known.place or 0 for session in self.queue}
+        going += sorted((row for row in rows if row.id in places), key=lambda row: places[row.id])
         return going + [row for row in rows if row.status in RESUMABLE][:LISTED]
 
     async def stop_abandoned(self) -> None:
         """Stop live runs without viewers for ``ABANDONED_S``, so that others can start."""
         for session in list(self.sessions.values()):
-            if session.over or session.unwatched_s <= ABANDONED_S:
+            if session.over or session.waiting or session.unwatched_s <= ABANDONED_S:
                 continue
             with suppress(Refused):
                 await session.stop()
                 words = f"no viewer for {ABANDONED_S:g} s; it can be resumed"
                 self.store.update(session.id, words=words)
+
+    def _live_request(self, body: LiveIn | ConvoyIn | RunningLineIn) -> tuple[str, Any]:
+        """Kind of a live run, and its request as a worker takes it."""
+        if isinstance(body, RunningLineIn):
+            return "line", self._running_line(body)
+        return ("convoy", self._convoy(body)) if isinstance(body, ConvoyIn) else ("run", self._run(body))
+
+    def _running_line(self, body: RunningLineIn) -> RunningRequest:
+        from metropilot.web.live.line import RunningRequest
+
+        values = body.model_dump(exclude={"pace"})
+        options = OperationOptions(**{name: values.pop(name) for name in field_specs(OperationOptions)})
+        names = {kind: self.path(kind, values.pop(kind)) for kind in ("line", "trainset")}
+        made = RunningRequest(**names, **values, options=options)
+        made.operation()
+        return made
 
     def _run(self, body: LiveIn) -> RunSpec:
         request = self.run_spec(body)
@@ -672,6 +765,8 @@ class Service:
         else:
             error = known["error"]
             changes = {"error": error, "words": error["message"]} if error is not None else {}
+            if session.waiting:
+                changes["words"] = NOT_STARTED if session.order["step"] == 0 else ""
             if "step" in known:
                 changes["progress"] = known["step"]
             self.store.update(job, status=known["status"], **changes)
@@ -682,7 +777,8 @@ class Service:
             del self.sessions[key]
 
     async def _watch_live(self) -> None:
-        """Stop abandoned live runs for as long as the server runs."""
+        """Stop abandoned live runs, and start those that wait, for as long as the server runs."""
         while True:
             await asyncio.sleep(10.0)
             await self.stop_abandoned()
+            self._start_queued()

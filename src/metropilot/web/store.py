@@ -7,7 +7,7 @@ import secrets
 import sqlite3
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -15,6 +15,7 @@ from typing import Any
 from metropilot._io import open_database
 from metropilot.units import J_PER_KWH
 from metropilot.web.errors import Refused
+from metropilot.web.users import check_may_change, present_user
 
 SCHEMA = """
 CREATE TABLE IF NOT EXISTS jobs (
@@ -61,6 +62,7 @@ class JobRow:
     name: str
     summary: dict[str, Any]
     project: str | None
+    user: str | None
 
 
 @dataclass(frozen=True)
@@ -72,6 +74,7 @@ class UploadRow:
     name: str
     file: str
     project: str | None = None
+    user: str | None = None
 
 
 @dataclass(frozen=True)
@@ -82,6 +85,7 @@ class ProjectRow:
     name: str
     notes: str
     created: str
+    user: str | None
 
 
 @dataclass(frozen=True)
@@ -120,6 +124,9 @@ class JobStore:
             for table in ("jobs", "uploads"):
                 if "project" not in {row[1] for row in database.execute(f"PRAGMA table_info({table})")}:
                     database.execute(f"ALTER TABLE {table} ADD COLUMN project TEXT")
+            for table in ("jobs", "uploads", "projects"):  # a folder of before users had names
+                if "user" not in {row[1] for row in database.execute(f"PRAGMA table_info({table})")}:
+                    database.execute(f"ALTER TABLE {table} ADD COLUMN user TEXT")
 
     @contextmanager
     def _open(self) -> Iterator[sqlite3.Connection]:
@@ -127,15 +134,22 @@ class JobStore:
             database.execute("PRAGMA synchronous = NORMAL")
             yield database
 
+    @contextmanager
+    def _change(self) -> Iterator[sqlite3.Connection]:
+        check_may_change()
+        with self._open() as database:
+            yield database
+
     def new_job(self, kind: str, request: dict[str, Any]) -> str:
-        """Add a job with status ``queued``; return its id."""
+        """Add a job of the present user with status ``queued``; return its id."""
         now = datetime.now(UTC)
         job = f"{kind}-{now:%Y%m%d-%H%M%S}-{secrets.token_hex(3)}"
-        with self._open() as database:
-            database.execute(
-                "INSERT INTO jobs (id, kind, status, request, created) VALUES (?, ?, 'queued', ?, ?)",
-                (job, kind, json.dumps(request), now.isoformat(timespec="seconds")),
+        with self._change() as database:
+            sql = (
+                "INSERT INTO jobs (id, kind, status, request, created, user) VALUES (?, ?, 'queued', ?, ?, ?)"
             )
+            values = (job, kind, json.dumps(request), now.isoformat(timespec="seconds"), present_user().name)
+            database.execute(sql, values)
         return job
 
     def update(self, job: str, **changes: object) -> None:
@@ -147,7 +161,7 @@ class JobStore:
             for k, v in changes.items()
         ]
         names = ", ".join(f"{name} = ?" for name in changes)
-        with self._open() as database:
+        with self._change() as database:
             database.execute(f"UPDATE jobs SET {names} WHERE id = ?", (*values, job))
 
     def job(self, job: str) -> JobRow:
@@ -179,7 +193,7 @@ class JobStore:
             kind: Kind of the jobs; None: every one.
             limit: Number of jobs at most.
             status: Status of the jobs; None: any.
-            text: Text that id, name or request holds, in capitals or not.
+            text: Text that id, name, user or request holds, in capitals or not.
             sort: One of ``SORTS``; jobs without such a value come last.
             ascending: Smallest first.
             offset: Jobs that are left out before the first.
@@ -189,13 +203,13 @@ class JobStore:
         like = "%" + text.replace("\\", "\\\\").replace("%", "\\%").replace("_", "\\_") + "%"
         where = "(?1 IS NULL OR kind = ?1) AND (?2 IS NULL OR status = ?2)"
         where += " AND (?6 IS NULL OR project = ?6)"
-        where += " AND (id || ' ' || name || ' ' || request) LIKE ?3 ESCAPE '\\'"
+        where += " AND (id || ' ' || name || ' ' || coalesce(user, '') || ' ' || request) LIKE ?3 ESCAPE '\\'"
         order = f"{by} IS NULL, {by} {way}, created DESC, id DESC LIMIT ?4 OFFSET ?5"
         return self._jobs(f"WHERE {where} ORDER BY {order}", (kind, status, like, limit, offset, project))
 
     def forget_job(self, job: str) -> None:
         """Remove the rows of a job."""
-        with self._open() as database:
+        with self._change() as database:
             database.execute("DELETE FROM jobs WHERE id = ?", (job,))
             database.execute("DELETE FROM journal WHERE job = ?", (job,))
 
@@ -208,6 +222,22 @@ class JobStore:
         with self._open() as database:
             sql = "SELECT count(*) FROM jobs WHERE status IN ('queued', 'running') AND kind != 'live'"
             return int(database.execute(sql).fetchone()[0])
+
+    def count_of(self, user: str) -> int:
+        """Number of jobs and live runs of a user that wait or run."""
+        with self._open() as database:
+            sql = "SELECT count(*) FROM jobs WHERE status IN ('queued', 'running') AND user = ?"
+            return int(database.execute(sql, (user,)).fetchone()[0])
+
+    def kept_by(self, user: str) -> tuple[int, list[str]]:
+        """Bytes of the results of a user, and the folders and files beside them, below the data folder."""
+        with self._open() as database:
+            sql = "SELECT id, run, length(result) FROM jobs WHERE user = ?"
+            jobs = database.execute(sql, (user,)).fetchall()
+            sql = "SELECT file FROM versions WHERE upload IN (SELECT id FROM uploads WHERE user = ?)"
+            files = database.execute(sql, (user,)).fetchall()
+        paths = [f"jobs/{job}" for job, _, _ in jobs] + [f"runs/{run}" for _, run, _ in jobs if run]
+        return sum(size or 0 for _, _, size in jobs), paths + [f"uploads/{file}" for (file,) in files]
 
     def result(self, job: str) -> Any:  # noqa: ANN401 (whatever the job's kind gives)
         """Result of a job; None while there is none."""
@@ -238,24 +268,25 @@ class JobStore:
         return [(int(step), json.loads(event)) for step, event in rows]
 
     def add_upload(self, kind: str, name: str, file: str) -> UploadRow:
-        """Add an upload under a new id, with its first version."""
-        row, now = UploadRow(f"upload-{secrets.token_hex(4)}", kind, name, file), _now()
-        with self._open() as database:
-            sql = "INSERT INTO uploads (id, kind, name, file, created) VALUES (?, ?, ?, ?, ?)"
-            database.execute(sql, (row.id, kind, name, file, now))
+        """Add an upload of the present user under a new id, with its first version."""
+        key, user = f"upload-{secrets.token_hex(4)}", present_user().name
+        row, now = UploadRow(key, kind, name, file, user=user), _now()
+        with self._change() as database:
+            sql = "INSERT INTO uploads (id, kind, name, file, created, user) VALUES (?, ?, ?, ?, ?, ?)"
+            database.execute(sql, (row.id, kind, name, file, now, user))
             database.execute("INSERT INTO versions VALUES (?, 1, ?, ?, ?)", (row.id, name, file, now))
         return row
 
     def set_project(self, entry: str, project: str | None) -> None:
         """File a job or an upload in a project, or in none."""
-        with self._open() as database:
+        with self._change() as database:
             for table in ("jobs", "uploads"):
                 database.execute(f"UPDATE {table} SET project = ? WHERE id = ?", (project, entry))
 
     def projects(self) -> list[ProjectRow]:
         """Projects by name."""
         with self._open() as database:
-            sql = "SELECT id, name, notes, created FROM projects ORDER BY lower(name), created"
+            sql = "SELECT id, name, notes, created, user FROM projects ORDER BY lower(name), created"
             return [ProjectRow(*row) for row in database.execute(sql).fetchall()]
 
     def project(self, project: str) -> ProjectRow:
@@ -270,22 +301,22 @@ class JobStore:
         raise Refused("no such project", 404, field="project", value=project)
 
     def new_project(self, name: str, notes: str = "") -> ProjectRow:
-        """Add a project."""
-        row = ProjectRow(f"project-{secrets.token_hex(4)}", name, notes, _now())
-        with self._open() as database:
-            values = (row.id, row.name, row.notes, row.created)
-            database.execute("INSERT INTO projects VALUES (?, ?, ?, ?)", values)
+        """Add a project of the present user."""
+        row = ProjectRow(f"project-{secrets.token_hex(4)}", name, notes, _now(), present_user().name)
+        with self._change() as database:
+            sql = "INSERT INTO projects (id, name, notes, created, user) VALUES (?, ?, ?, ?, ?)"
+            database.execute(sql, tuple(vars(row).values()))
         return row
 
     def update_project(self, project: str, **changes: str) -> None:
         """Change name or notes of a project."""
         names = ", ".join(f"{name} = ?" for name in changes)
-        with self._open() as database:
+        with self._change() as database:
             database.execute(f"UPDATE projects SET {names} WHERE id = ?", (*changes.values(), project))
 
     def forget_project(self, project: str) -> None:
         """Remove a project; its jobs and uploads stay, in none."""
-        with self._open() as database:
+        with self._change() as database:
             database.execute("DELETE FROM projects WHERE id = ?", (project,))
             for table in ("jobs", "uploads"):
                 database.execute(f"UPDATE {table} SET project = NULL WHERE project = ?", (project,))
@@ -302,7 +333,7 @@ class JobStore:
         Raises:
             Refused: No such upload (404), or somebody saved another version meanwhile (409).
         """
-        with self._open() as database:
+        with self._change() as database:
             database.execute("BEGIN IMMEDIATE")
             sql = "SELECT max(number) FROM versions WHERE upload = ?"
             newest = database.execute(sql, (upload,)).fetchone()[0]
@@ -326,18 +357,18 @@ class JobStore:
         """Uploads, the newest first."""
         with self._open() as database:
             rows = database.execute(
-                "SELECT id, kind, name, file, project FROM uploads ORDER BY created DESC, rowid DESC"
+                "SELECT id, kind, name, file, project, user FROM uploads ORDER BY created DESC, rowid DESC"
             ).fetchall()
         return [row for row in (UploadRow(*r) for r in rows) if kind is None or row.kind == kind]
 
     def forget_upload(self, upload: str) -> None:
         """Remove the rows of an upload."""
-        with self._open() as database:
+        with self._change() as database:
             database.execute("DELETE FROM uploads WHERE id = ?", (upload,))
             database.execute("DELETE FROM versions WHERE upload = ?", (upload,))
 
     def _jobs(self, rest: str, values: tuple[Any, ...]) -> list[JobRow]:
-        columns = "id, kind, status, request, created, progress, words, run, error, name, summary, project"
+        columns = ", ".join(each.name for each in fields(JobRow))
         with self._open() as database:
             rows = database.execute(f"SELECT {columns} FROM jobs {rest}", values).fetchall()
         return [_job(row) for row in rows]
@@ -348,10 +379,10 @@ def _now() -> str:
 
 
 def _job(row: tuple[Any, ...]) -> JobRow:
-    job, kind, status, request, created, progress, words, run, error, name, summary, project = row
-    told, short = (json.loads(text) if text else None for text in (error, summary))
-    asked = json.loads(request)
-    return JobRow(job, kind, status, asked, created, progress, words, run, told, name, short or {}, project)
+    names = [each.name for each in fields(JobRow)]
+    found = dict(zip(names, row, strict=True))
+    found |= {name: json.loads(found[name]) if found[name] else None for name in ("error", "summary")}
+    return JobRow(**found | {"request": json.loads(found["request"]), "summary": found["summary"] or {}})
 
 
 def summarise(result: Any) -> dict[str, Any]:  # noqa: ANN401 (whatever the job's kind gives)
@@ -370,9 +401,10 @@ def summarise(result: Any) -> dict[str, Any]:  # noqa: ANN401 (whatever the job'
     if "entries" in result:
         met = sum(e["successes"] == e["seeds"] for e in result["entries"])
         return {"outcome": f"{met} of {len(result['entries'])} drivers met every requirement"}
-    if "energies" in result:
-        told = result["energies"]
-        return {"outcome": "computed", "energy_kwh": told["energy_kwh"], "gap_percent": told["gap_percent"]}
+    if "energies" in result or "floor_kwh" in result:  # a line, computed or run
+        told = result.get("energies", result)
+        found = {"outcome": result.get("outcome", "computed"), "time_s": result.get("time_s")}
+        return found | {"energy_kwh": told["energy_kwh"], "gap_percent": told["gap_percent"]}
     if "campaign" in result or "vectors" in result:
         files = len(result.get("files", ()))
         return {"outcome": f"{files} files" if files else f"{result['done']} of {result['rows']} rows"}

@@ -9,6 +9,7 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Header
 from fastapi.responses import StreamingResponse
 
+from metropilot.web import catalogue
 from metropilot.web.api.catalogue import Key
 from metropilot.web.live.session import Session
 from metropilot.web.schemas.requests import (
@@ -16,18 +17,22 @@ from metropilot.web.schemas.requests import (
     Lever,
     LiveIn,
     NewArrival,
+    NewHold,
     NewLink,
     NewRestriction,
+    NewSlowSection,
     Pace,
     RequestBody,
+    RunningLineIn,
 )
-from metropilot.web.schemas.responses import EventOut, LiveOut
+from metropilot.web.schemas.responses import EventOut, LiveOut, RunningLineOut
 from metropilot.web.service import Service
 
 STREAM: dict[int | str, dict[str, Any]] = {
     200: {
-        "description": "Server-sent events, numbered: `scene` (track, permitted speed, plan, names of the "
-        "columns), `rows` (one a control period), `event` (in words), `result` (KPIs), `error`, `end`. "
+        "description": "Server-sent events, numbered: `place` (in the queue, while it waits), `scene` "
+        "(track, permitted speed, plan, names of the columns), `rows` (one a control period), `event` (in "
+        "words), `result` (KPIs), `error`, `end`. "
         "In a scene, `plan` leads from where the trainset was when it was made to the stop; `reference` "
         "leads from departure to the stop for what is in force now, and a run's energy is compared with it: "
         "`plan_energy_wheel_j` of a row is what it has used at that position. "
@@ -43,6 +48,8 @@ def live_out(session: Session) -> dict[str, Any]:
     return {
         "id": session.id,
         "status": known.status,
+        "place": known.place,
+        "user": session.user,
         "request": session.request,
         "time_s": known.time_s,
         "position_m": known.position_m,
@@ -66,13 +73,36 @@ def routes(service: Service) -> APIRouter:
 
     @router.post("/live", response_model=LiveOut, status_code=201)
     async def start(body: LiveIn) -> dict[str, Any]:
-        """Start a live run."""
+        """Start a live run; one that is `queued` waits at `place` of the queue and starts by itself."""
         return live_out(await service.go_live(body))
 
     @router.post("/convoys", response_model=LiveOut, status_code=201)
     async def convoy(body: ConvoyIn) -> dict[str, Any]:
         """Start a live convoy; watched, paced and stopped like any live run."""
         return live_out(await service.go_live(body))
+
+    @router.post("/running-lines", response_model=LiveOut, status_code=201)
+    async def running_line(body: RunningLineIn) -> dict[str, Any]:
+        """Start a running line with all its trains; watched, paced and stopped like any live run.
+
+        A row has the place and the delay of every train, the energy of all since the beginning and its floor.
+        """
+        return live_out(await service.go_live(body))
+
+    @router.get("/live/{live_id}/line", response_model=RunningLineOut)
+    def line_result(live_id: Key) -> Any:  # noqa: ANN401 (validated by the model)
+        """Result of a running line that has come to its end."""
+        return catalogue.result_of(service, live_id, ("running",))
+
+    @router.post("/live/{live_id}/hold", response_model=EventOut)
+    async def hold(live_id: Key, body: NewHold) -> dict[str, Any]:
+        """Hold the next train of a running line that departs from a station."""
+        return await tell(live_id, "hold", body)
+
+    @router.post("/live/{live_id}/slow", response_model=EventOut)
+    async def slow(live_id: Key, body: NewSlowSection) -> dict[str, Any]:
+        """Restrict the speed of a section of a running line for trains that depart from now on."""
+        return await tell(live_id, "slow", body)
 
     @router.post("/live/{live_id}/link", response_model=EventOut)
     async def link(live_id: Key, body: NewLink) -> dict[str, Any]:
@@ -131,7 +161,7 @@ def routes(service: Service) -> APIRouter:
 
     @router.post("/live/{live_id}/stop", response_model=EventOut)
     async def stop(live_id: Key) -> dict[str, Any]:
-        """End a live run; it can be resumed."""
+        """End a live run, or take it out of the queue; it can be resumed."""
         return {"id": live_id, "at_s": await service.session(live_id).stop()}
 
     @router.post("/live/{live_id}/resume", response_model=LiveOut, status_code=201)

@@ -17,8 +17,9 @@ from metropilot.web.work.plans import begin
 if TYPE_CHECKING:
     from metropilot.web.live.convoy import ConvoyEngine
     from metropilot.web.live.engine import Engine
+    from metropilot.web.live.line import LineEngine
 
-    AnyEngine = Engine | ConvoyEngine
+    AnyEngine = Engine | ConvoyEngine | LineEngine
 
 FLUSH_S = 0.1
 """Shortest interval between two messages with rows; viewers see no difference below it."""
@@ -36,7 +37,8 @@ def main(pipe: Connection, worker_bytes: int) -> None:
     """Wait for an order, then drive it; end with the pipe."""
     begin(worker_bytes, 0)
     import metropilot.web.live.convoy
-    import metropilot.web.live.engine  # noqa: F401 (warm before the order comes)
+    import metropilot.web.live.engine
+    import metropilot.web.live.line  # noqa: F401 (warm before the order comes)
 
     try:
         order = pipe.recv()
@@ -50,7 +52,8 @@ class Driving:
 
     Args:
         pipe: Connection to the server.
-        order: ``request``, ``pace``, ``root``, ``job``, ``journal``, ``step`` (replayed up to here).
+        order: ``request``, ``drives`` (run, convoy, line), ``pace``, ``root``, ``job``, ``journal``, ``step``
+            (replayed up to here).
     """
 
     def __init__(self, pipe: Connection, order: dict[str, Any]) -> None:
@@ -86,8 +89,10 @@ class Driving:
     def _engine(self) -> AnyEngine:
         from metropilot.web.live.convoy import ConvoyEngine
         from metropilot.web.live.engine import Engine
+        from metropilot.web.live.line import LineEngine
 
-        return (ConvoyEngine if self.order["convoy"] else Engine)(self.order["request"])
+        engines: dict[str, Any] = {"convoy": ConvoyEngine, "line": LineEngine, "run": Engine}
+        return engines[self.order["drives"]](self.order["request"])
 
     def _say(self, kind: str, value: dict[str, Any], known: dict[str, Any] | None = None) -> None:
         self.pipe.send((kind, encode(value), known or {}))

@@ -17,7 +17,7 @@ from metropilot.errors import InputError, MetropilotError
 from metropilot.sim import Disturbance
 from metropilot.web import catalogue, evidence
 from metropilot.web.pages.form import validate
-from metropilot.web.pages.frame import Problem, card, frame, links
+from metropilot.web.pages.frame import ActionButton, Problem, card, frame, links
 from metropilot.web.pages.strip import names
 from metropilot.web.pages.tables import DataColumn, DataTable
 from metropilot.web.schemas.requests import CampaignIn
@@ -99,8 +99,8 @@ class CampaignsPage:
                 self.bar = ui.linear_progress(value=0, show_value=False)
                 self.bar.props('aria-label="Progress" rounded')
                 with ui.element("div").classes("mp-row items-center"):
-                    self.stop_button = ui.button("Stop", on_click=self.stop).props("outline dense")
-                    self.resume_button = ui.button("Resume", on_click=self.resume).props("outline dense")
+                    self.stop_button = ActionButton("Stop", on_click=self.stop).props("outline dense")
+                    self.resume_button = ActionButton("Resume", on_click=self.resume).props("outline dense")
                     self.state = ui.label("").classes("mp-soft").props('aria-live=polite data-test="state"')
                 self.files = ui.element("div")
             with card("Drivers", "A driver and disturbance chosen here are those of the rows below."):
@@ -294,7 +294,9 @@ class CampaignForm:
             shipped.on_value_change(lambda event: self.take(event.value))
             self.text = ui.textarea("Campaign (TOML)").props("outlined dense autogrow")
             self.text.classes("w-full mp-code").props('data-test="toml"')
-            ui.button("Start", icon="play_arrow", on_click=self.submit).props('unelevated data-test="start"')
+            ActionButton("Start", icon="play_arrow", on_click=self.submit).props(
+                'unelevated data-test="start"'
+            )
         self.change_line()
 
     def change_line(self) -> None:

@@ -20,7 +20,7 @@ from metropilot.web.pages.form import (
     other_options,
     validate,
 )
-from metropilot.web.pages.frame import card, empty, frame, links, number, refresh_while, table
+from metropilot.web.pages.frame import ActionButton, card, empty, frame, links, number, refresh_while, table
 from metropilot.web.pages.plots import blank, compare_figure, front_figure
 from metropilot.web.schemas.requests import CompareIn
 from metropilot.web.service import Service
@@ -75,8 +75,8 @@ class ComparePage:
             self.form.problem.beside("seeds", self.seeds)
             self.disturbances.build(self.form.problem)
             with ui.element("div").classes("mp-row"):
-                ui.button("Compare", on_click=self.start).props('unelevated data-test="compare"')
-                self.cancel = ui.button("Stop", on_click=self.stop).props("outline")
+                ActionButton("Compare", on_click=self.start).props('unelevated data-test="compare"')
+                self.cancel = ActionButton("Stop", on_click=self.stop).props("outline")
             self.status = ui.label("").classes("mp-soft").props('aria-live=polite data-test="status"')
         with ui.element("div").classes("mp-col"):
             with card("What the next second costs"):

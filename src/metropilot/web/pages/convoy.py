@@ -21,7 +21,18 @@ from metropilot.web.pages.form import (
     number_field,
     validate,
 )
-from metropilot.web.pages.frame import Problem, card, frame, links, number, reads, strip, table
+from metropilot.web.pages.frame import (
+    ActionButton,
+    Problem,
+    card,
+    for_users,
+    frame,
+    links,
+    number,
+    reads,
+    strip,
+    table,
+)
 from metropilot.web.pages.plots import convoy_figure, finished_convoy_figure
 from metropilot.web.pages.strip import section_strip
 from metropilot.web.schemas.requests import ConvoyIn, NewLink
@@ -78,11 +89,11 @@ class ConvoyPage:
                 self.world.build(problem)
                 with ui.element("div").classes("mp-row"):
                     self.pace = ui.select(PACES, value=2, label="Pace", on_change=self.change_pace)
-                    self.pace.props("outlined dense")
-                    ui.button("Depart", icon="play_arrow", on_click=self.depart).props(
+                    for_users(self.pace).props("outlined dense")
+                    ActionButton("Depart", icon="play_arrow", on_click=self.depart).props(
                         'unelevated data-test="depart"'
                     )
-                    ui.button("Stop", on_click=self.stop).props("outline")
+                    ActionButton("Stop", on_click=self.stop).props("outline")
             self.build_link()
         with ui.element("div").classes("mp-col"):
             self.root = (
@@ -118,9 +129,10 @@ class ConvoyPage:
             self.silent = ui.switch("Silent: nothing arrives", on_change=self.relink).props(
                 'data-test="silent"'
             )
+            for_users(self.silent)
             with ui.element("div").classes("mp-row"):
-                ui.button("Set the link", on_click=self.relink).props('outline data-test="relink"')
-                brake = ui.button("Head: emergency brake", on_click=self.brake).props(
+                ActionButton("Set the link", on_click=self.relink).props('outline data-test="relink"')
+                brake = ActionButton("Head: emergency brake", on_click=self.brake).props(
                     "outline color=negative"
                 )
                 brake.props('data-test="emergency"')

@@ -25,7 +25,18 @@ from metropilot.web.pages.form import (
     other_options,
     validate,
 )
-from metropilot.web.pages.frame import Problem, card, frame, links, number, reads, strip, table
+from metropilot.web.pages.frame import (
+    ActionButton,
+    Problem,
+    card,
+    for_users,
+    frame,
+    links,
+    number,
+    reads,
+    strip,
+    table,
+)
 from metropilot.web.pages.plots import (
     REGIME_COLOURS,
     drive_figure,
@@ -78,8 +89,6 @@ class DrivePage:
         self.lost: MetropilotError | None = None
         try:
             row = service.live_run(run) if run else None
-            if row is not None and "follower" in row.request:
-                raise Refused("the run is a convoy; see the page Convoy", 404, field="id", value=row.id)
             self.row = row
         except MetropilotError as error:
             self.lost = error
@@ -108,11 +117,11 @@ class DrivePage:
                 self.disturbances.build(self.form.problem)
                 with ui.element("div").classes("mp-row"):
                     self.pace = ui.select(PACES, value=1, label="Pace", on_change=self.change_pace)
-                    self.pace.props("outlined dense")
-                    ui.button("Depart", icon="play_arrow", on_click=self.depart).props(
+                    for_users(self.pace).props("outlined dense")
+                    ActionButton("Depart", icon="play_arrow", on_click=self.depart).props(
                         'unelevated data-test="depart"'
                     )
-                    ui.button("Stop", on_click=self.stop).props('outline data-test="stop"')
+                    ActionButton("Stop", on_click=self.stop).props('outline data-test="stop"')
                 self.departure = Problem()
                 self.departure.fields, self.departure.folds = (
                     self.form.problem.fields,
@@ -130,7 +139,7 @@ class DrivePage:
                     status = ui.label(self.status_words()).classes("mp-soft")
                     status.props('data-mp="status" aria-live=polite')
                     ui.label("").classes("mp-soft").props('data-mp="pace"')
-                    self.resume_button = ui.button("Resume", icon="replay", on_click=self.resume)
+                    self.resume_button = ActionButton("Resume", icon="replay", on_click=self.resume)
                     self.resume_button.props('outline dense data-test="resume"')
                     self.resume_button.set_visibility(self.resumable())
                 self.strip = strip("Section")
@@ -164,7 +173,7 @@ class DrivePage:
     def lever(self) -> None:
         """Build the lever of manual driving."""
         with ui.element("div").classes("mp-row items-center"):
-            button = ui.button("Take the lever (M)").props('outline dense no-caps data-mp="take"')
+            button = ActionButton("Take the lever (M)").props('outline dense no-caps data-mp="take"')
             button.on("click", js_handler="() => metropilot.hand()")
             ui.label("the driver has it").classes("mp-soft").props('data-mp="hand" aria-live=polite')
             with ui.element("div").classes("mp-soft gt-xs"):
@@ -186,17 +195,19 @@ class DrivePage:
             with ui.element("div").classes("mp-row"):
                 self.arrival = number_field(NewArrival, "scheduled_time_s", value=101)
                 self.news.beside("scheduled_time_s", self.arrival)
-                ui.button("Tell", on_click=self.tell_arrival).props('outline data-test="tell-arrival"')
+                ActionButton("Tell", on_click=self.tell_arrival).props('outline data-test="tell-arrival"')
             with ui.element("div").classes("mp-row"):
-                ui.button("10 s earlier", on_click=lambda: self.shift(-10)).props("flat dense no-caps")
-                ui.button("10 s later", on_click=lambda: self.shift(10)).props("flat dense no-caps")
+                ActionButton("10 s earlier", on_click=lambda: self.shift(-10)).props("flat dense no-caps")
+                ActionButton("10 s later", on_click=lambda: self.shift(10)).props("flat dense no-caps")
             with ui.element("div").classes("mp-row"):
                 self.from_m = number_field(NewRestriction, "from_m", value=700)
                 self.to_m = number_field(NewRestriction, "to_m", value=900)
                 self.kmh = number_field(NewRestriction, "limit_mps", value=40)
                 for name, element in (("from_m", self.from_m), ("to_m", self.to_m), ("limit_mps", self.kmh)):
                     self.news.beside(name, element.props("outlined dense"))
-            ui.button("Add speed restriction", on_click=self.restrict).props('outline data-test="restrict"')
+            ActionButton("Add speed restriction", on_click=self.restrict).props(
+                'outline data-test="restrict"'
+            )
 
     async def start(self) -> None:
         """Load the form of the linked run, its section and its result; runs once the page is connected."""
@@ -579,8 +590,8 @@ def install(service: Service) -> None:
         row: int = 0,
     ) -> RedirectResponse | None:
         page = DrivePage(service, run, None if campaign is None else (campaign, row))
-        if page.row is not None and "follower" in page.row.request:
-            return RedirectResponse(f"/convoy?run={page.row.id}")
+        if page.row is not None and not catalogue.page_of(page.row).startswith("/?"):
+            return RedirectResponse(catalogue.page_of(page.row))
         with frame(request, "/"):
             page.build()
         await ui.context.client.connected()

@@ -16,7 +16,18 @@ from metropilot.railway import Line, Trainset, parse_document, toml_text
 from metropilot.web import catalogue
 from metropilot.web.errors import Refused
 from metropilot.web.pages.document import DocumentForm, describe
-from metropilot.web.pages.frame import Problem, card, empty, frame, heading, links, number, reads, strip
+from metropilot.web.pages.frame import (
+    ActionButton,
+    Problem,
+    card,
+    empty,
+    frame,
+    heading,
+    links,
+    number,
+    reads,
+    strip,
+)
 from metropilot.web.pages.plots import blank, effort_figure, line_figure
 from metropilot.web.pages.strip import line_strip
 from metropilot.web.service import Service
@@ -75,7 +86,7 @@ class EditPage:
             with card():
                 self.title = heading("")
                 with ui.element("div").classes("mp-row items-center"):
-                    self.save_button = ui.button("Save", on_click=self.save).props(
+                    self.save_button = ActionButton("Save", on_click=self.save).props(
                         'unelevated data-test="save"'
                     )
                     self.undo_button = ui.button("Undo", on_click=partial(self.step, 0)).props(
@@ -84,7 +95,7 @@ class EditPage:
                     self.redo_button = ui.button("Redo", on_click=partial(self.step, 1)).props(
                         'outline data-test="redo"'
                     )
-                    ui.button("Save as a copy", on_click=self.save_copy).props("flat no-caps")
+                    ActionButton("Save as a copy", on_click=self.save_copy).props("flat no-caps")
                 self.problem = Problem()
                 self.status = ui.label("").classes("mp-soft").props('aria-live=polite data-test="status"')
                 self.meanwhile = (
@@ -242,7 +253,7 @@ class EditPage:
                 "here is kept; so is that version."
             )
             with ui.element("div").classes("mp-row"):
-                mine = ui.button(
+                mine = ActionButton(
                     f"Save mine as version {newest + 1}", on_click=partial(self.save_after, newest)
                 )
                 mine.props('outline dense no-caps data-test="save-mine"')

@@ -14,6 +14,7 @@ from metropilot.web import catalogue
 from metropilot.web.errors import Refused, error_of
 from metropilot.web.pages.form import loads, validate
 from metropilot.web.pages.frame import (
+    ActionButton,
     Problem,
     card,
     empty,
@@ -116,8 +117,8 @@ class FitPage:
             for name in ("origin", "destination"):
                 self.fields[name].bind_visibility_from(self.fields["line"], "value", bool)
             with ui.element("div").classes("mp-row"):
-                self.go = ui.button("Fit", on_click=self.start).props('unelevated data-test="fit"')
-                self.stop_button = ui.button("Stop", on_click=self.stop).props('outline data-test="stop"')
+                self.go = ActionButton("Fit", on_click=self.start).props('unelevated data-test="fit"')
+                self.stop_button = ActionButton("Stop", on_click=self.stop).props('outline data-test="stop"')
             self.stop_button.set_visibility(False)
             self.status = ui.label("").classes("mp-soft").props('aria-live=polite data-test="status"')
 
@@ -151,7 +152,7 @@ class FitPage:
                 with ui.element("div").classes("mp-row items-center no-wrap"):
                     tick = ui.checkbox(row.name, value=row.id in self.chosen).classes("grow")
                     tick.on_value_change(partial(self.tick, row.id))
-                    forget = ui.button(icon="delete", on_click=partial(self.forget, row.id))
+                    forget = ActionButton(icon="delete", on_click=partial(self.forget, row.id))
                     forget.props(f'flat dense round aria-label="Remove {row.name}"')
 
     def tick(self, key: str, event: events.ValueChangeEventArguments) -> None:
@@ -273,7 +274,7 @@ class FitPage:
             with ui.element("div").classes("mp-row items-center"):
                 self.target = ui.select(choices, value=began if began in own else NEW, label="Save as")
                 self.target.props("outlined dense options-dense").classes("grow")
-                ui.button("Save", on_click=self.save).props('unelevated data-test="save"')
+                ActionButton("Save", on_click=self.save).props('unelevated data-test="save"')
             self.save_problem = Problem()
             self.saved = ui.element("div").classes("mp-stack").props('role=status data-test="saved"')
 

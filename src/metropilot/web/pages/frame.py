@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from typing import Any
+from typing import Any, Self
 
 from fastapi import Request
 from nicegui import Client, ui
@@ -13,6 +13,7 @@ from nicegui.slot import Slot
 
 from metropilot.errors import MetropilotError
 from metropilot.web.errors import detail_of
+from metropilot.web.users import present_user
 
 PAGES = (
     ("/", "Drive"),
@@ -30,13 +31,42 @@ THEMES = {"auto": None, "light": False, "dark": True}
 HEAD = (
     '<link rel="stylesheet" href="/static/console.css">'
     '<script src="/static/access.js" defer></script><script src="/static/live.js" defer></script>'
-    '<script src="/static/convoy.js" defer></script>'
+    '<script src="/static/convoy.js" defer></script><script src="/static/line.js" defer></script>'
 )
 UPLOAD_HEADER = """<div class="row items-center no-wrap q-pa-sm q-gutter-sm">
-    <q-btn outline no-caps icon="upload_file" label="%s" @click="props.pickFiles" />
+    <q-btn outline no-caps icon="upload_file" label="%s" :disable="props.disable" @click="props.pickFiles" />
     <span class="mp-soft">or drop it here</span>
     <div style="display: none"><q-uploader-add-trigger /></div></div>"""
 NEXT_THEME = {"auto": "light", "light": "dark", "dark": "auto"}
+
+
+READS_ONLY = "You are signed in as {}, who reads only: everything can be looked at, nothing changed."
+
+
+class ActionButton(ui.button):
+    """Button that changes something on the server; disabled for a viewer, whatever the page says."""
+
+    def __init__(self, *args: Any, **values: Any) -> None:  # noqa: ANN401 (those of a button)
+        self.allowed = present_user().may_change
+        super().__init__(*args, **values)
+        if not self.allowed:
+            self.set_enabled(False)
+            self.props(f'title="{_attribute(str(present_user().name))} reads only"')
+
+    def set_enabled(self, value: bool) -> Self:
+        """Enable or disable the button; a viewer's stays disabled."""
+        return super().set_enabled(value and self.allowed)
+
+    def enable(self) -> Self:
+        """Enable the button, unless it is a viewer's."""
+        return self.set_enabled(True)
+
+
+def for_users(element: Any) -> Any:  # noqa: ANN401 (any field of NiceGUI)
+    """Disable a field that changes something on the server where a viewer looks at it; return it."""
+    if not present_user().may_change:
+        element.disable()
+    return element
 
 
 @contextmanager
@@ -58,10 +88,16 @@ def frame(request: Request, active: str) -> Iterator[None]:
                 link = ui.link(name, path)
                 if path == active:
                     link.props("aria-current=page")
+        user = present_user()
+        if user.name is not None:
+            ui.label(user.name).classes("mp-user").props('data-test="user"')
         _theme_button(theme)
     with ui.element("div").classes("mp-main").props("id=main tabindex=-1"):
         name = (ui.context.client.page.title or "metropilot").partition(" · ")[0]
         ui.label(name).classes("mp-unseen").props("role=heading aria-level=1")
+        if not user.may_change:
+            said = ui.label(READS_ONLY.format(user.name)).classes("mp-card mp-notice mp-wide")
+            said.props('role=note data-test="reads-only"')
         yield
 
 
@@ -137,7 +173,7 @@ def upload_field(
     made.props(f'accept="{",".join(kinds)}" flat bordered').classes("w-full")
     # Quasar's own header has an input without a name inside a button without one.
     made.add_slot("header", UPLOAD_HEADER % words)
-    return made
+    return for_users(made)
 
 
 def reads(items: Sequence[tuple[str, str, str]]) -> None:

@@ -13,7 +13,7 @@ from nicegui import ui
 from metropilot.units import J_PER_KWH
 from metropilot.web import catalogue
 from metropilot.web.pages.form import loads, number_field, validate
-from metropilot.web.pages.frame import Problem, card, clock, frame, number, reads, strip, table
+from metropilot.web.pages.frame import ActionButton, Problem, card, clock, frame, number, reads, strip, table
 from metropilot.web.pages.plots import blank, journey_figure, sections_figure
 from metropilot.web.pages.strip import line_strip, names
 from metropilot.web.schemas.requests import JourneyIn
@@ -58,7 +58,7 @@ class JourneyPage:
             )
             self.problem.beside("total_s", self.total).props('data-test="total"')
             self.problem.beside("journey", self.total)
-            ui.button("Plan", on_click=self.keep).props('unelevated data-test="plan"')
+            ActionButton("Plan", on_click=self.keep).props('unelevated data-test="plan"')
             self.status = ui.label("").classes("mp-soft").props("aria-live=polite")
         with ui.element("div").classes("mp-col"):
             with card():

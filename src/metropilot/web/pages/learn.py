@@ -14,7 +14,17 @@ from metropilot.studies import PublishedStudy
 from metropilot.web import catalogue
 from metropilot.web.errors import Refused, error_of
 from metropilot.web.pages.form import describe_driver, driver_names, number_field, validate
-from metropilot.web.pages.frame import Problem, card, empty, frame, links, number, refresh_while, table
+from metropilot.web.pages.frame import (
+    ActionButton,
+    Problem,
+    card,
+    empty,
+    frame,
+    links,
+    number,
+    refresh_while,
+    table,
+)
 from metropilot.web.pages.plots import blank, history_figure
 from metropilot.web.pages.strip import names
 from metropilot.web.pages.tables import DataColumn, DataTable
@@ -59,7 +69,7 @@ class LearnPage:
                 for name, element in fields:
                     self.problem.beside(name, element.props("outlined dense options-dense"))
                 self.steps.props('data-test="steps"')
-                ui.button("Learn", on_click=self.start).props('unelevated data-test="learn"')
+                ActionButton("Learn", on_click=self.start).props('unelevated data-test="learn"')
             self.aboard = ExportForm(self.service)
             self.aboard.build()
             with card("Studies", "Papers reproduced: published, reproduced and optimal values."):
@@ -69,8 +79,10 @@ class LearnPage:
                 with ui.element("div").classes("mp-row items-center"):
                     self.status = ui.label("No run chosen.").classes("mp-soft grow")
                     self.status.props('aria-live=polite data-test="status"')
-                    self.stop_button = ui.button("Stop", on_click=self.stop).props('outline data-test="stop"')
-                    self.resume_button = ui.button("Resume", on_click=self.resume).props(
+                    self.stop_button = ActionButton("Stop", on_click=self.stop).props(
+                        'outline data-test="stop"'
+                    )
+                    self.resume_button = ActionButton("Resume", on_click=self.resume).props(
                         'outline data-test="resume"'
                     )
                 self.drive_it = ui.link("Compare its policy with the optimum", "/compare")
@@ -220,7 +232,7 @@ class LearnPage:
                     ]
                     words = "Not reproduced here yet; quick takes about 2 min."
                     empty(going[0].words or going[0].status if going else words)
-                again = ui.button("Reproduce (quick)", on_click=lambda: self.reproduce(key))
+                again = ActionButton("Reproduce (quick)", on_click=lambda: self.reproduce(key))
                 again.props("outline no-caps")
             with self.problem.show_errors():
                 published_page(catalogue.study_page(key))
@@ -270,7 +282,7 @@ class ExportForm:
             }
             for name, field in self.fields.items():
                 self.problem.beside(name, field.props("outlined dense options-dense").classes("w-full"))
-            ui.button("Export", on_click=self.start).props('unelevated data-test="export"')
+            ActionButton("Export", on_click=self.start).props('unelevated data-test="export"')
             self.status = ui.label("").classes("mp-soft").props('aria-live=polite data-test="export-status"')
             self.files = ui.element("div")
 

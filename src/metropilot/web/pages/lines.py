@@ -12,7 +12,18 @@ from nicegui import events, ui
 from metropilot.errors import MetropilotError
 from metropilot.web import catalogue
 from metropilot.web.errors import detail_of
-from metropilot.web.pages.frame import card, empty, frame, heading, links, number, strip, table, upload_field
+from metropilot.web.pages.frame import (
+    ActionButton,
+    card,
+    empty,
+    frame,
+    heading,
+    links,
+    number,
+    strip,
+    table,
+    upload_field,
+)
 from metropilot.web.pages.plots import effort_figure, line_figure
 from metropilot.web.pages.strip import line_strip
 from metropilot.web.service import SUFFIXES, Service
@@ -69,7 +80,7 @@ class LinesPage:
             button = ui.button(words, on_click=partial(show, row["id"]))
             button.props("flat no-caps dense").classes("grow mp-item")
             if row["uploaded"]:
-                forget = ui.button(icon="delete", on_click=partial(self.forget, row["id"]))
+                forget = ActionButton(icon="delete", on_click=partial(self.forget, row["id"]))
                 forget.props(f'flat dense round aria-label="Remove {row["id"]}"')
 
     def show(self, key: str) -> None:

@@ -14,6 +14,7 @@ from metropilot.web import catalogue
 from metropilot.web.errors import Refused, error_of
 from metropilot.web.pages.form import FoldedNumbers, loads, number_field, validate
 from metropilot.web.pages.frame import (
+    ActionButton,
     Problem,
     card,
     empty,
@@ -26,6 +27,7 @@ from metropilot.web.pages.frame import (
     table,
 )
 from metropilot.web.pages.plots import headways_figure, operation_figure
+from metropilot.web.pages.running import RunningCard
 from metropilot.web.schemas.requests import OperationIn
 from metropilot.web.service import Service
 from metropilot.web.store import OVER, JobRow
@@ -60,8 +62,9 @@ class OperationPage:
         filling: True while the page itself changes its fields.
     """
 
-    def __init__(self, service: Service, job: str | None) -> None:
+    def __init__(self, service: Service, job: str | None, run: str | None = None) -> None:
         self.service = service
+        self.running = RunningCard(service, run, self.running_values)
         self.job = job
         self.found: dict[int, tuple[str, dict[str, Any]]] = {}
         self.results: dict[str, dict[str, Any]] = {}
@@ -117,15 +120,16 @@ class OperationPage:
             self.problem.beside("seed", self.seed)
             self.seed.bind_visibility_from(self.optimise, "value")
             with ui.element("div").classes("mp-row"):
-                ui.button("Compute", on_click=self.start).props('unelevated data-test="compute"')
-                self.sweep_button = ui.button("Sweep headways", on_click=self.sweep).props(
+                ActionButton("Compute", on_click=self.start).props('unelevated data-test="compute"')
+                self.sweep_button = ActionButton("Sweep headways", on_click=self.sweep).props(
                     'outline data-test="sweep"'
                 )
-                ui.button("Stop", on_click=self.stop).props('outline data-test="stop"')
+                ActionButton("Stop", on_click=self.stop).props('outline data-test="stop"')
             self.status = ui.label("").classes("mp-soft").props('aria-live=polite data-test="status"')
         with ui.element("div").classes("mp-col"):
             with card():
                 self.result = ui.element("div").classes("mp-stack").props('data-test="result"')
+            self.running.build()
             with card("Over the headway") as self.curve_card:
                 self.curve = (
                     ui.plotly(headways_figure({}, 180.0)).classes("mp-plot").props('data-test="curve"')
@@ -140,6 +144,7 @@ class OperationPage:
         fed = {row["id"]: row["name"] for row in self.feedings if line in row["lines"]}
         self.fields["day"].set_options({"": "One headway", **days}, value="")
         self.fields["feeding"].set_options({"": "Zones, no network", **fed}, value="")
+        self.running.fill_stations(line)
 
     def request(self, headway_s: float | None = None) -> OperationIn:
         """Request of the fields.
@@ -151,6 +156,10 @@ class OperationPage:
         values |= self.more.values() | {"zones": self.zones.value, "optimise": self.optimise.value}
         values |= {"seed": self.seed.value, "headway_s": headway_s or self.headway.value}
         return validate(OperationIn, values)
+
+    def running_values(self) -> dict[str, Any]:
+        """Fields of a running line; day, network and search are those of the computation only."""
+        return self.request().model_dump(exclude={"day", "feeding", "optimise", "seed"})
 
     def change_line(self) -> None:
         """Offer what belongs to the line."""
@@ -385,6 +394,8 @@ class OperationPage:
         with self.problem.show_errors():
             if self.job:
                 self.restore(self.service.store.job(self.job))
+            elif (row := self.running.load()) is not None:
+                self.restore_service(row.request)
         self.filling = False
         self.change()
 
@@ -397,30 +408,38 @@ class OperationPage:
         if row.kind != "line":
             raise Refused(f"the job is a {row.kind}, no line in operation", 404, field="id", value=row.id)
         body = row.request
-        catalogue.line(self.service, body["line"])
-        aboard = loads(self.service, body["trainset"])
-        self.fields["line"].value, self.fields["trainset"].value = body["line"], body["trainset"]
-        self.fields["load"].set_options(aboard, value=body["load"] or next(iter(aboard)))
-        self.fill_names()
+        self.restore_service(body)
         self.fields["day"].value, self.fields["feeding"].value = body["day"] or "", body["feeding"] or ""
-        self.headway.value, self.zones.value = body["headway_s"], body["zones"]
-        self.slider.value = min(max(body["headway_s"], SHORTEST_S), LONGEST_S)
         self.optimise.value, self.seed.value = body["optimise"], body["seed"]
-        self.more.restore(body)
         if row.status not in OVER:
             self.jobs.append(row.id)
             self.watch()
         elif row.error is not None:
             self.problem.show(error_of(row.error))
 
+    def restore_service(self, body: dict[str, Any]) -> None:
+        """Fill in line, trainset, headway and options.
+
+        Raises:
+            MetropilotError: The line or trainset does not exist any more.
+        """
+        catalogue.line(self.service, body["line"])
+        aboard = loads(self.service, body["trainset"])
+        self.fields["line"].value, self.fields["trainset"].value = body["line"], body["trainset"]
+        self.fields["load"].set_options(aboard, value=body["load"] or next(iter(aboard)))
+        self.fill_names()
+        self.headway.value, self.zones.value = body["headway_s"], body["zones"]
+        self.slider.value = min(max(body["headway_s"], SHORTEST_S), LONGEST_S)
+        self.more.restore(body)
+
 
 def install(service: Service) -> None:
     """Register the page."""
 
     @ui.page("/line", title="Line · metropilot")
-    async def line(request: Request, job: str | None = None) -> None:
+    async def line(request: Request, job: str | None = None, run: str | None = None) -> None:
         with frame(request, "/line"):
-            page = OperationPage(service, job)
+            page = OperationPage(service, job, run)
             page.build()
         await ui.context.client.connected()
         page.load()

@@ -548,6 +548,31 @@ def operation_figure(graph: dict[str, Any], *, day: bool) -> Figure:
     )
 
 
+def running_figure() -> Figure:
+    """Figure of a running line, filled by the browser: train graph, delays, energy and floor over time."""
+    kinds = (
+        ("on time", GREY, 1.0),
+        ("more than 5 s late", ORANGE, 1.6),
+        ("more than 1 min late", VERMILION, 2.0),
+    )
+    traces = [line(name, [], [], colour, width=width, hoverinfo="skip") for name, colour, width in kinds]
+    traces += [
+        line("delays of all", [], [], VERMILION, yaxis="y2", showlegend=False),
+        line("energy", [], [], BLUE, yaxis="y3"),
+        line("floor", [], [], BLACK, dash="dash", yaxis="y3"),
+        line("trains", [], [], BLUE, mode="markers", showlegend=False, hoverinfo="skip"),
+    ]
+    return figure(
+        traces,
+        640,
+        xaxis=axis("time (min)", anchor="y3"),
+        yaxis=axis("", domain=[0.42, 1.0]),
+        yaxis2=axis("delay (min)", domain=[0.22, 0.37], rangemode="tozero"),
+        yaxis3=axis("energy (kWh)", domain=[0.0, 0.17], rangemode="tozero"),
+        hovermode=False,
+    )
+
+
 def headways_figure(found: dict[int, dict[str, Any]], headway_s: float) -> Figure:
     """Energies and floor over the headways that are computed, with a cursor.
 

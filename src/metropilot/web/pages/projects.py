@@ -10,7 +10,7 @@ from nicegui import events, ui
 
 from metropilot.web import projects
 from metropilot.web.pages.form import validate
-from metropilot.web.pages.frame import Problem, card, links, question, upload_field
+from metropilot.web.pages.frame import ActionButton, Problem, card, for_users, links, question, upload_field
 from metropilot.web.schemas.requests import ProjectIn
 from metropilot.web.service import Service
 
@@ -41,8 +41,8 @@ class ProjectCard:
             self.choice = ui.select(self.names(EVERY), value=self.key or "", label="Project")
             self.choice.props("outlined dense options-dense").classes("mp-filter")
             self.choice.on_value_change(lambda event: self.choose(event.value))
-            ui.button("New project", on_click=self.begin).props('outline data-test="new-project"')
-            ui.button("Import", on_click=self.ask_archive).props('outline data-test="import"')
+            ActionButton("New project", on_click=self.begin).props('outline data-test="new-project"')
+            ActionButton("Import", on_click=self.ask_archive).props('outline data-test="import"')
 
     def build(self) -> None:
         """Place the card of the chosen project."""
@@ -68,7 +68,8 @@ class ProjectCard:
         if self.key is None:
             return
         found = projects.project_out(self.service, self.key)
-        with self.place, card(found["name"]) as made:
+        begun = f"Begun by {found['user']}." if found["user"] else ""
+        with self.place, card(found["name"], begun) as made:
             made.props('data-test="project"')
             self.told = Problem()
             self.name = ui.input("Name of the project", value=found["name"]).props(
@@ -77,7 +78,7 @@ class ProjectCard:
             self.notes = ui.textarea("Notes", value=found["notes"]).props("outlined dense autogrow")
             self.notes.props("debounce=300")
             for field in (self.name, self.notes):
-                field.classes("w-full").on("blur", self.keep)
+                for_users(field.classes("w-full").on("blur", self.keep))
             self.told.beside("name", self.name)
             self.told.beside("notes", self.notes)
             for upload in found["uploads"]:
@@ -90,10 +91,10 @@ class ProjectCard:
             }
             if others:
                 add = ui.select(others, label="Add an own line, trainset, policy or log")
-                add.props("outlined dense options-dense").classes("w-full")
+                for_users(add.props("outlined dense options-dense").classes("w-full"))
                 add.on_value_change(lambda event: self.put(event.value, self.key))
             links([("Export", f"/api/projects/{self.key}/archive")])
-            forget = ui.button("Remove project", on_click=self.forget).props("flat dense no-caps")
+            forget = ActionButton("Remove project", on_click=self.forget).props("flat dense no-caps")
             forget.tooltip("Its runs, lines and trainsets stay.")
 
     def upload_row(self, upload: dict[str, Any]) -> None:
@@ -103,7 +104,7 @@ class ProjectCard:
             ui.label(f"{kind} · {upload['name']}").classes("grow")
             if kind in {"line", "trainset"}:
                 links([("Edit", f"/edit?{kind}={key}"), ("Drive", f"/?{kind}={key}")])
-            out = ui.button(icon="remove", on_click=partial(self.put, key, None)).props("flat dense round")
+            out = ActionButton(icon="remove", on_click=partial(self.put, key, None)).props("flat dense round")
             out.props(f'aria-label="Take {upload["name"]} out of the project"')
 
     def put(self, upload: str, project: str | None) -> None:

@@ -13,19 +13,30 @@ from nicegui import run, ui
 
 from metropilot.web import catalogue, projects
 from metropilot.web.errors import Refused
+from metropilot.web.live.session import GOING, place_words
 from metropilot.web.pages.form import validate
-from metropilot.web.pages.frame import Problem, card, clock, empty, frame, number, question, table
+from metropilot.web.pages.frame import (
+    ActionButton,
+    Problem,
+    card,
+    clock,
+    empty,
+    frame,
+    number,
+    question,
+    table,
+)
 from metropilot.web.pages.plots import difference_figure
 from metropilot.web.pages.projects import ProjectCard
 from metropilot.web.pages.tables import DataColumn, DataTable
 from metropilot.web.schemas.requests import NameIn
 from metropilot.web.service import ABANDONED_S, RESUMABLE, Service
 from metropilot.web.store import JobRow
+from metropilot.web.users import present_user
 
 EVERY_S = 2.0
 LISTED = 500
 """Newest jobs that the page lists."""
-GOING = ("queued", "running")
 COLUMNS = (
     DataColumn("words", "Run", kind="link"),
     DataColumn("kind", "Kind", filtered=True, wide=True),
@@ -36,6 +47,8 @@ COLUMNS = (
     DataColumn("gap_percent", "Gap (%)", digits=2, wide=True),
     DataColumn("created", "Begun", wide=True),
 )
+BY = DataColumn("user", "By", filtered=True, wide=True)
+"""Column of who began a run, where users have names."""
 PAIRED = {
     "running_time_s": ("running time (s)", 1.0, 1),
     "time_error_s": ("time error (s)", 1.0, 2),
@@ -94,6 +107,8 @@ class RunList:
         if session is None or session.over:
             return f"{row.status}: {row.words}" if row.words else f"{row.status}; it can be resumed"
         known = session.known
+        if session.waiting:
+            return f"waits: {place_words(known.place)}"
         watched = f" · {session.viewers} watching" if session.viewers else " · no viewer"
         lever = "" if known.lever is None else f" · lever: {known.lever['holder']}"
         return f"{clock(known.time_s)} · {f'{known.pace:g} ×' if known.pace else 'waiting'}{watched}{lever}"
@@ -102,24 +117,26 @@ class RunList:
         """Place the row of a run; return the label of its state."""
         name, path = row.name or catalogue.describe_job(row), catalogue.page_of(row)
         with ui.element("div").classes("mp-run").props(f'data-run="{row.id}" data-status="{row.status}"'):
-            ui.label(name + (" (this one)" if row.id == self.run else ""))
-            words = ui.label("").classes("mp-soft")
+            by = f" · {row.user}" if row.user else ""
+            ui.label(name + by + (" (this one)" if row.id == self.run else ""))
+            said = ui.label("").classes("mp-soft")
             with ui.element("div").classes("mp-links"):
-                if row.status == "running":
+                if row.status in GOING:
                     ui.link("Open", path).props(f'aria-label="Open {name}"')
-                    self.button("Stop", name, partial(self.stop, row.id))
+                    words = "Stop" if row.status == "running" else "Cancel"
+                    self.button(words, name, partial(self.stop, row.id))
                 else:
                     ui.link("Show", path).props(f'aria-label="Show {name}"')
                     self.button("Resume", name, partial(self.resume, row.id, path))
-        return words
+        return said
 
     @staticmethod
     def button(words: str, name: str, act: Callable[[], Awaitable[None]]) -> None:
         """Place a small button of a row."""
-        ui.button(words, on_click=act).props(f'flat dense no-caps aria-label="{words} {name}"')
+        ActionButton(words, on_click=act).props(f'flat dense no-caps aria-label="{words} {name}"')
 
     async def stop(self, run: str) -> None:
-        """Stop a run; it can be resumed."""
+        """Stop a run, or take it out of the queue; it can be resumed."""
         with self.problem.show_errors():
             await self.service.session(run).stop()
 
@@ -160,7 +177,7 @@ class RunsPage:
                 actions = {"Name": self.ask_name, "Stop": self.stop, "Resume": self.resume}
                 self.list = DataTable(
                     "Runs",
-                    COLUMNS,
+                    (*COLUMNS, BY) if self.service.settings.names_users else COLUMNS,
                     sort="-created",
                     actions=actions,
                     selected=self.look_buttons,
@@ -169,9 +186,9 @@ class RunsPage:
                 with ui.element("div").classes("mp-row items-center"):
                     self.compare_button = ui.button("Compare two", on_click=self.compare)
                     self.compare_button.props('outline data-test="compare-two"')
-                    self.delete_button = ui.button("Delete", on_click=self.ask_delete)
+                    self.delete_button = ActionButton("Delete", on_click=self.ask_delete)
                     self.delete_button.props('outline color=negative data-test="delete"')
-                    self.move_button = ui.button("Move to project", on_click=self.ask_project)
+                    self.move_button = ActionButton("Move to project", on_click=self.ask_project)
                     self.move_button.props('outline data-test="move"')
                     self.status = ui.label("").classes("mp-soft").props('aria-live=polite data-test="chosen"')
                 self.list.build()
@@ -209,7 +226,7 @@ class RunsPage:
         state = short.get("outcome") if row.status == "done" else row.status
         if row.status == "running" and row.kind != "live":
             state = f"{row.progress:.0%}"
-        elif row.status not in {"done", *GOING} and row.words:
+        elif row.status not in {"done", "running"} and row.words:
             state = f"{row.status}: {row.words}"
         passed = ""
         if short.get("success") is not None:
@@ -229,7 +246,8 @@ class RunsPage:
             "status": row.status,
             "style": passed if row.status == "done" else "mp-fail" if row.status == "failed" else "",
             "created": row.created[:16].replace("T", " "),
-            "actions": actions,
+            "user": row.user,
+            "actions": actions if present_user().may_change else [],
             **{name: short.get(name) for name in ("time_s", "energy_kwh", "gap_percent")},
         }
 

@@ -14,7 +14,7 @@ from metropilot.campaign import CampaignFile
 from metropilot.convoy import ConvoyRequest, Link
 from metropilot.evaluate import POLICY, RunSpec, parse_driver, run_fields
 from metropilot.fit import Group, Resistance, Source
-from metropilot.operation import OperationOptions
+from metropilot.operation import OperationOptions, SlowSection, TrainHold
 from metropilot.railway import Restriction
 from metropilot.sim import CONTROL_PERIOD_S, Disturbance, TimetableUpdate
 
@@ -251,7 +251,18 @@ class ProjectIn(RequestBody):
     notes: Notes = ""
 
 
-class OperationIn(create_model("OperationFields", __base__=RequestBody, **declared_fields(OperationOptions))):
+OperationFields = create_model("OperationFields", __base__=RequestBody, **declared_fields(OperationOptions))
+
+
+class LineServiceIn(OperationFields):
+    """A line with its trainset at a headway."""
+
+    line: Id = "yizhuang"
+    trainset: Id = "dkz32"
+    load: Annotated[str, Field(max_length=32)] | None = None
+
+
+class OperationIn(LineServiceIn):
     """A line in operation at a headway, or through a working day.
 
     ``optimise`` searches dwells and running times too, not only the offset of the directions.
@@ -259,9 +270,6 @@ class OperationIn(create_model("OperationFields", __base__=RequestBody, **declar
 
     model_config = example(line="yizhuang", headway_s=180, zones=4)
 
-    line: Id = "yizhuang"
-    trainset: Id = "dkz32"
-    load: Annotated[str, Field(max_length=32)] | None = None
     day: Id | None = None
     feeding: Id | None = None
     optimise: bool = False
@@ -386,6 +394,33 @@ class ConvoyIn(DriveIn, ConvoySettingsIn):
     behind: Annotated[list[Id], Field(max_length=5)] = []
     disturbances: Annotated[list[DisturbanceIn], Field(max_length=6)] = []  # pyright: ignore[reportInvalidTypeForm]
     pace: Annotated[float, Field(ge=0, le=20)] = 1.0
+
+
+class RunningLineIn(LineServiceIn):
+    """A line that runs live, all trains at once, and its pace; it ends after ``lasts_s``."""
+
+    model_config = example(line="yizhuang", headway_s=180, pace=30, lasts_s=3600)
+
+    lasts_s: Annotated[float, Field(ge=60, le=36_000, description="s")] = 7200.0
+    pace: Annotated[float, Field(ge=0, le=100)] = 10.0
+
+
+class NewHold(create_model("HoldFields", __base__=RequestBody, **declared_fields(TrainHold))):
+    """Hold the next train of a running line that departs from a station."""
+
+    model_config = example(station="RJ", hold_s=120)
+
+    station: StationKey
+    backward: bool = False
+
+
+class NewSlowSection(create_model("SlowFields", __base__=RequestBody, **declared_fields(SlowSection))):
+    """Restrict the speed of the section of a running line that begins at a station, for some time."""
+
+    model_config = example(station="RJ", limit_mps=8, lasts_s=600)
+
+    station: StationKey
+    backward: bool = False
 
 
 class NewLink(create_model("LinkIn", __base__=RequestBody, **declared_fields(Link, "silent_from_s"))):

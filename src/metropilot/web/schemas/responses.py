@@ -20,6 +20,18 @@ class Health(BaseModel):
     version: str
     jobs_running: int
     live_runs: int
+    live_runs_waiting: int
+
+
+class UserOut(BaseModel):
+    """A user: role ``viewer`` reads only; jobs wait or run. Without a name there are no limits."""
+
+    name: str | None
+    role: Literal["user", "viewer"]
+    jobs: int | None = None
+    jobs_most: int | None = None
+    bytes_kept: int | None = None
+    bytes_most: int | None = None
 
 
 class LineRow(BaseModel):
@@ -104,12 +116,13 @@ class UploadOut(BaseModel):
 
 
 class ProjectOut(BaseModel):
-    """A project: a named folder of jobs, lines, trainsets, policies and logs, with notes."""
+    """A project: a named folder of jobs, lines, trainsets, policies and logs, with notes; who began it."""
 
     id: str
     name: str
     notes: str
     created: str
+    user: str | None
 
 
 class ProjectUpload(BaseModel):
@@ -214,7 +227,7 @@ class JobSummary(BaseModel):
 
 
 class JobOut(BaseModel):
-    """A job: its name, request, progress, status, result in short, and its error if it failed."""
+    """A job: its name, request, progress, status, result in short, its error if it failed, who began it."""
 
     id: str
     kind: JobKind
@@ -228,6 +241,7 @@ class JobOut(BaseModel):
     name: str
     summary: JobSummary
     project: str | None
+    user: str | None
 
 
 class CheckOut(BaseModel):
@@ -506,10 +520,12 @@ class LeverOut(BaseModel):
 
 
 class LiveOut(BaseModel):
-    """A live run; ``lever`` is null while the driver drives."""
+    """A live run; ``lever`` is null while the driver drives, ``place`` that in the queue while it waits."""
 
     id: str
     status: JobStatus
+    place: int | None
+    user: str | None
     request: dict[str, Any]
     time_s: float
     position_m: float
@@ -520,6 +536,27 @@ class LiveOut(BaseModel):
     lever: LeverOut | None
     outcome: str | None
     error: dict[str, Any] | None
+
+
+class RunningLineOut(BaseModel):
+    """A running line at its end: energy beside the floor, delays now and at most, recovery.
+
+    ``waits`` departures waited for the train ahead, ``stops`` trains were stopped on the way behind it;
+    ``recovered_s``: when every train was on time again after the last event, at ``disturbed_s``.
+    """
+
+    time_s: float
+    trains: int
+    energy_kwh: float
+    floor_kwh: float
+    gap_percent: float | None
+    largest_delay_s: float
+    delay_s: float
+    waits: int
+    stops: int
+    disturbed_s: float | None
+    recovered_s: float | None
+    outcome: str
 
 
 class EventOut(BaseModel):

@@ -7,7 +7,7 @@
       Object.assign(this, { root, id, chart, kept: [], drawn: 0, waiting: false });
       this.todo = [];
       this.source = new EventSource(`/api/live/${id}/stream`);
-      for (const kind of ["scene", "rows", "event", "result", "end"])
+      for (const kind of ["place", "scene", "rows", "event", "result", "end"])
         this.source.addEventListener(kind, (e) => this["on_" + kind](JSON.parse(e.data)));
       this.source.addEventListener("error", (e) => { if (e.data) this.say("", JSON.parse(e.data).error.message); });
     }
@@ -43,9 +43,13 @@
       for (const use of this.todo.splice(0)) use(component.Plotly, el);
     }
 
+    // As in live.js.
+    on_place(said) { this.root.dataset.status = "queued"; this.set("status", `waiting: place ${said.place} in the queue; it starts by itself`); }
+
     on_scene(scene) {
       const first = !this.now;
       this.now = scene;
+      if (this.root.dataset.status === "queued") { this.root.dataset.status = "running"; this.set("status", "under way"); }
       this.root.dataset.silent = scene.link.silent;
       this.set("link", scene.link.silent ? "silent" : `${scene.link.delay_s} s, ${Math.round(scene.link.loss * 100)} % lost`);
       this.part("link").className = scene.link.silent ? "v mp-fail" : "v";

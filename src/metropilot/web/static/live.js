@@ -16,7 +16,7 @@
       this.kept = []; this.drawn = 0; this.over = false; this.waiting = false; this.todo = [];
       this.share = null; this.confirmed = false; this.other = null;
       this.source = new EventSource(`/api/live/${id}/stream`);
-      for (const kind of ["scene", "rows", "event", "result", "end"])
+      for (const kind of ["place", "scene", "rows", "event", "result", "end"])
         this.source.addEventListener(kind, (e) => this[kind](JSON.parse(e.data)));
       this.source.addEventListener("error", (e) => {
         if (e.data) this.say(null, JSON.parse(e.data).error.message);
@@ -43,7 +43,11 @@
       if (unit) { const small = document.createElement("small"); small.textContent = ` ${unit}`; part.append(small); }
     }
 
+    // While the server drives as many as it can, a run waits in a queue.
+    place(said) { this.root.dataset.status = "queued"; this.set("status", `waiting: place ${said.place} in the queue; it starts by itself`); }
+
     scene(scene) {
+      if (this.root.dataset.status === "queued") { this.root.dataset.status = "running"; this.set("status", "under way"); }
       this.now = scene;
       this.set("scheduled", scene.scheduled_time_s.toFixed(0), "s");
       const mine = scene.lever !== null && scene.lever.holder === HOLDER;

@@ -43,6 +43,7 @@ FILES = {
         "convoy.svg",
         "convoy.png",
         "trajectories.zip",
+        "delays.csv",
         *(f"trajectory-{k + 1}.csv" for k in range(MOST)),
     ),
     "compare": ("comparison.json", "comparison.svg", "comparison.png", "run.toml"),

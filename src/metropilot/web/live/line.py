@@ -1,0 +1,161 @@
+"""A line in operation stepped in real time or faster, with delays that are injected."""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from metropilot._io import fill_folder
+from metropilot.errors import InputError
+from metropilot.operation import (
+    LineOperation,
+    OperationOptions,
+    RunningLine,
+    SlowSection,
+    TrainHold,
+    operation_energy,
+)
+from metropilot.railway import load_line, load_trainset
+from metropilot.web.work.plans import numbers, station
+
+Event = dict[str, Any]
+ROW_S = 5.0
+"""Time between two rows; the line itself is looked at every second."""
+DELAYS = "delays.csv"
+
+
+@dataclass(frozen=True)
+class RunningRequest:
+    """A line that runs.
+
+    Attributes:
+        line: Id of the catalogue, or path.
+        trainset: The same of the trainset.
+        load: Its load; None: the trainset's.
+        options: Headway, dwells, windows, feeding zones.
+        lasts_s: Time after which it ends.
+    """
+
+    line: str
+    trainset: str
+    load: str | None
+    options: OperationOptions
+    lasts_s: float
+
+    def operation(self) -> LineOperation:
+        """The line in operation.
+
+        Raises:
+            InputError: A name is unknown, or the options do not fit the line.
+        """
+        return LineOperation(load_line(self.line), load_trainset(self.trainset, self.load), self.options)
+
+
+class LineEngine:
+    """A running line, with the methods of :class:`metropilot.web.live.engine.Engine`.
+
+    Args:
+        request: The line.
+    """
+
+    def __init__(self, request: RunningRequest) -> None:
+        self.request = request
+        self.running = RunningLine(operation_energy(request.operation()))
+        self.steps = 0
+        self.rows: list[tuple[float, list[float]]] = []
+
+    @property
+    def time_s(self) -> float:
+        """Time since the beginning."""
+        return self.running.time_s
+
+    @property
+    def dt_s(self) -> float:
+        """Time between two rows."""
+        return ROW_S
+
+    @property
+    def over(self) -> bool:
+        """True when the time that was asked for is over."""
+        return self.time_s >= self.request.lasts_s
+
+    @property
+    def position_m(self) -> float:
+        """Position of the first train."""
+        return self.running.positions_m[0]
+
+    def advance(self) -> list[Any]:
+        """Let the time of a row pass; return it in the order of the scene's ``columns``."""
+        until_s = self.time_s + ROW_S
+        while self.time_s < until_s:
+            self.running.advance()
+        self.steps += 1
+        running = self.running
+        self.rows.append((self.time_s, running.delays_s))
+        told = running.as_dict()
+        counts = (told["energy_kwh"], told["floor_kwh"], told["waits"], told["stops"])
+        places, delays = numbers(running.positions_m, 0), numbers(running.delays_s, 0)
+        return [round(self.time_s, 1), places, delays, *numbers(counts, 2), self.steps]
+
+    def pop_updates(self) -> list[str]:
+        """Descriptions of what happened since the last call."""
+        return [words for _, words in self.running.pop_news()]
+
+    def holds(self, event: Event) -> bool:
+        """Tell whether an event changes nothing."""
+        return event["kind"] == "lever" and event["share"] is None
+
+    def lever_expired(self) -> bool:
+        """A line has no lever."""
+        return False
+
+    def lever(self) -> None:
+        """None: a line has no lever."""
+
+    def apply(self, event: Event) -> str:
+        """Hold a train or slow a section; return a description.
+
+        Raises:
+            InputError: The event is not possible, or none of a line.
+        """
+        kind, values = event["kind"], {name: value for name, value in event.items() if name != "kind"}
+        if kind == "hold":
+            return self.running.hold(TrainHold(**values))
+        if kind == "slow":
+            return self.running.slow(SlowSection(**values))
+        raise InputError("unknown event of a line", field="kind", value=kind)
+
+    def scene(self) -> dict[str, Any]:
+        """Values that are constant."""
+        line, options = self.running.operation.line, self.request.options
+        return {
+            "columns": [
+                "time_s",
+                "position_m",
+                "delay_s",
+                "energy_kwh",
+                "floor_kwh",
+                "waits",
+                "stops",
+                "step",
+            ],
+            "line": line.id,
+            "stops": [station(stop) for stop in line.stations],
+            "trains": self.running.fleet,
+            "headway_s": options.headway_s,
+            "scheduled_time_s": self.request.lasts_s,
+            "dt_s": ROW_S,
+        }
+
+    def report(self, folder: Path) -> tuple[dict[str, Any], dict[str, Any], str]:
+        """Write the delays of all trains; return the result in short and in full, and the outcome."""
+        told = self.running.as_dict()
+        with fill_folder(folder) as scratch, (scratch / DELAYS).open("w", newline="") as file:
+            writer = csv.writer(file)
+            writer.writerow(["time_s", *(f"delay_{train.number}_s" for train in self.running.trains)])
+            writer.writerows([time_s, *numbers(delays, 1)] for time_s, delays in self.rows)
+        recovered = told["disturbed_s"] is None or told["recovered_s"] is not None
+        outcome = "every train is on time" if recovered else f"{told['delay_s']:.0f} s late in all"
+        return told, told | {"outcome": outcome}, outcome

@@ -1,0 +1,247 @@
+"""Users of a shared server: who they are, what each may, what is theirs, and their limits."""
+
+import asyncio
+
+import pytest
+from tests.web.program import Server
+from tests.web.test_api import SECTION
+from tests.web.test_guard import TOKEN, ask
+
+from metropilot.errors import InputError
+from metropilot.web import Settings, read_users
+from metropilot.web.errors import Refused
+from metropilot.web.schemas.requests import DriveIn, LiveIn
+from metropilot.web.security import Guard
+from metropilot.web.service import Service
+from metropilot.web.users import User, answer_to, present_user
+
+ANNA, VERA = "a" * 20, "v" * 20
+USERS = f"# the team\n\nanna = {ANNA}, user\nvera={VERA} ,viewer\nerik = -, user\n"
+
+
+@pytest.fixture
+def users(tmp_path):
+    path = tmp_path / "users.txt"
+    path.write_text(USERS)
+    return read_users(path)
+
+
+def sign(token):
+    return {"Authorization": f"Bearer {token}"}
+
+
+def test_a_file_names_users_with_roles(users):
+    assert [(user.name, user.role, user.token) for user in users] == [
+        ("anna", "user", ANNA),
+        ("vera", "viewer", VERA),
+        ("erik", "user", None),
+    ]
+    assert ANNA not in repr(users)
+
+
+@pytest.mark.parametrize(
+    ("text", "field", "words"),
+    [
+        ("anna", "line 1", "not a user"),
+        (f"anna = {ANNA}", "line 1", "not a user"),
+        (f"\nan/na = {ANNA}, user", "line 2", "not a name"),
+        (f"anna = {ANNA}, root", "line 1", "no such role"),
+        ("anna = short, user", "line 1", "too short"),
+        (f"anna = {ANNA}, user\nanna = {VERA}, user", "line 2", "twice"),
+        (f"anna = {ANNA}, user\nvera = {ANNA}, user", "line 2", "twice"),
+        ("# nobody\n", None, "names no user"),
+    ],
+)
+def test_a_line_that_names_no_user_is_refused_without_its_token(tmp_path, text, field, words):
+    path = tmp_path / "users.txt"
+    path.write_text(text)
+    with pytest.raises(InputError, match=words) as told:
+        read_users(path)
+    assert (told.value.file, told.value.field) == (str(path), field)
+    assert ANNA not in str(told.value)
+    assert "short," not in str(told.value)
+
+
+def name_of(settings, client=("127.0.0.1", 5), **headers):
+    """Name and role that an application behind the guard sees; the status where it is not asked."""
+    seen = []
+
+    async def inner(scope, receive, send):
+        seen.append((present_user().name, present_user().role))
+        await send({"type": "http.response.start", "status": 200, "headers": []})
+        await send({"type": "http.response.body", "body": b""})
+
+    async def send(message):
+        if message["type"] == "http.response.start" and not seen:
+            seen.append(message["status"])
+
+    async def receive():
+        return {"type": "http.request", "body": b"", "more_body": False}
+
+    sent = [(b"host", b"127.0.0.1:8060")]
+    sent += [(name.replace("_", "-").lower().encode(), value.encode()) for name, value in headers.items()]
+    scope = {"type": "http", "method": "GET", "path": "/api/lines", "query_string": b"", "headers": sent}
+    asyncio.run(Guard(inner, settings)(scope | {"client": client}, receive, send))
+    return seen[0]
+
+
+def test_only_a_trusted_proxy_names_a_user(tmp_path, users):
+    far = Settings(
+        data=tmp_path, host="0.0.0.0", user_header="X-Remote-User", trusted_proxies=("10.1.0.0/16",)
+    )
+    assert name_of(far, ("10.1.2.3", 5), X_Remote_User="mia") == ("mia", "user")
+    assert name_of(far, ("10.2.2.3", 5), X_Remote_User="mia") == 401
+    assert name_of(far, None, X_Remote_User="mia") == 401
+    assert name_of(far, ("10.1.2.3", 5)) == 401
+    assert name_of(far, ("10.1.2.3", 5), X_Remote_User="mia; drop") == 401
+    assert name_of(far, ("10.2.2.3", 5), X_Forwarded_For="10.1.2.3", X_Remote_User="mia") == 401
+    listed = Settings(data=tmp_path, users=users, user_header="X-Remote-User", trusted_proxies=("127.0.0.1",))
+    assert name_of(listed, X_Remote_User="erik") == ("erik", "user")
+    assert name_of(listed, X_Remote_User="vera") == ("vera", "viewer")
+    assert name_of(listed, X_Remote_User="mia") == ("mia", "viewer"), "others than those listed read only"
+    assert name_of(listed, Authorization=f"Bearer {ANNA}") == ("anna", "user")
+    assert name_of(listed, ("10.1.2.3", 5), X_Remote_User="erik", Authorization=f"Bearer {VERA}") == (
+        "vera",
+        "viewer",
+    )
+    assert name_of(Settings(data=tmp_path), X_Remote_User="mia") == (None, "user"), "nobody asked for it"
+
+
+def test_a_token_of_each_user_becomes_a_cookie(tmp_path, users):
+    shared = Settings(data=tmp_path, users=users, token=TOKEN)
+    assert ask(shared).status_code == 401
+    for token in (ANNA, VERA, TOKEN):
+        assert ask(shared, headers=sign(token)).status_code == 200
+        welcome = ask(shared, path=f"/?token={token}")
+        assert welcome.status_code == 303
+        assert "Secure" not in welcome.headers["set-cookie"]
+    assert ask(shared, path="/?token=-").status_code == 401, "who has no token cannot present it"
+    behind = Settings(
+        data=tmp_path, users=users, public_hosts=("console.example",), trusted_proxies=("127.0.0.1",)
+    )
+    encrypted = {"X-Forwarded-Proto": "https"}
+    welcome = ask(behind, path=f"/?token={ANNA}", base="http://console.example", headers=encrypted)
+    assert "Secure" in welcome.headers["set-cookie"]
+    assert ask(behind, base="http://evil.example", headers=sign(ANNA)).status_code == 403
+
+
+def test_a_viewer_reads_and_is_refused_every_change(tmp_path, users):
+    settings = Settings(data=tmp_path, users=users)
+    assert ask(settings, headers=sign(VERA)).status_code == 200
+    assert ask(settings, "POST", "/api/plan", headers=sign(VERA)).status_code == 200
+    for method in ("POST", "PUT", "PATCH", "DELETE"):
+        refused = ask(settings, method, "/api/projects", headers=sign(VERA))
+        assert refused.status_code == 403
+        assert refused.json()["error"]["message"] == "vera reads only"
+        assert refused.json()["error"]["allowed"] == "the role user"
+        assert ask(settings, method, "/api/projects", headers=sign(ANNA)).status_code == 200
+
+
+def test_the_service_refuses_a_viewer_whatever_the_way(tmp_path):
+    async def story():
+        service = Service(Settings(data=tmp_path))
+        live = await service.go_live(LiveIn.model_validate({**SECTION, "time_s": 101, "pace": 0}))
+        with answer_to(User("vera", "viewer")):
+            assert [row.id for row in service.live_runs()] == [live.id]
+            body = DriveIn.model_validate(SECTION)
+            changes = (
+                lambda: service.submit(body),
+                lambda: service.stop(live.id),
+                lambda: service.name_job(live.id, "mine"),
+                lambda: service.forget_job(live.id),
+                lambda: service.store.new_project("mine"),
+                lambda: service.store.set_project(live.id, None),
+            )
+            for change in changes:
+                with pytest.raises(Refused, match="vera reads only") as told:
+                    change()
+                assert told.value.status == 403
+            for change in (live.ask({"kind": "pace", "pace": 1}), live.stop(), service.upload("a.toml", b"")):
+                with pytest.raises(Refused, match="vera reads only"):
+                    await change
+        assert not live.over
+        await live.stop()
+        await service.close()
+
+    asyncio.run(story())
+
+
+def test_limits_of_a_user_are_told_in_one_line(tmp_path):
+    async def story():
+        service = Service(Settings(data=tmp_path, user_jobs=1, user_bytes=30_000))
+        body = LiveIn.model_validate({**SECTION, "time_s": 101, "pace": 0})
+        with answer_to(User("anna")):
+            first = await service.go_live(body)
+            with pytest.raises(Refused) as told:
+                await service.go_live(body)
+            assert told.value.status == 429
+            assert "anna has 1 jobs that wait or run; stop one, or wait" in str(told.value)
+            assert "at most 1" in str(told.value)
+        with answer_to(User("mia")):  # the limit is each one's own
+            second = await service.go_live(body)
+            assert second.user == "mia"
+        with answer_to(User("anna")):
+            await first.stop()
+            text = service.text("line", "yizhuang").encode()
+            upload, _ = await service.upload("mine.toml", text)
+            size = service.kept_bytes("anna")
+            assert size == len(text) < 30_000 < 20 * size
+            while service.kept_bytes("anna") + len(text) <= 30_000:
+                await service.upload("more.toml", text)
+            with pytest.raises(Refused, match=r"anna keeps 0\.0 MB of runs and uploads; delete some"):
+                await service.upload("more.toml", text)
+            for row in service.store.uploads():
+                service.forget(row.id)
+            assert service.kept_bytes("anna") == 0
+            assert upload.user == "anna"
+        await second.stop()
+        await service.close()
+
+    asyncio.run(story())
+
+
+def test_what_is_begun_carries_the_name(tmp_path):
+    path = tmp_path / "users.txt"
+    path.write_text(USERS)
+    served = Server(tmp_path, "--users", path, "--user-jobs", 3, "--user-mb", 1)
+    try:
+        served.get("/api/lines", code=401)
+        served.client.headers.update(sign(ANNA))
+        assert served.get("/api/user") == {
+            "name": "anna",
+            "role": "user",
+            "jobs": 0,
+            "jobs_most": 3,
+            "bytes_kept": 0,
+            "bytes_most": 1_000_000,
+        }
+        job = served.post("/api/jobs/drive", {**SECTION, "driver": "flat_out"}, code=202)
+        live = served.post("/api/live", {**SECTION, "time_s": 101, "pace": 0}, code=201)
+        project = served.post("/api/projects", {"name": "P"}, code=201)
+        assert {job["user"], live["user"], project["user"]} == {"anna"}
+        assert {row["user"] for row in served.get("/api/jobs?text=anna")} == {"anna"}
+        served.wait(job["id"])
+        assert served.get("/api/user")["jobs"] == 1
+        assert 10_000 < served.get("/api/user")["bytes_kept"] < 1_000_000
+        served.client.headers.update(sign(VERA))
+        assert served.get("/api/user")["role"] == "viewer"
+        assert served.get(f"/api/jobs/{job['id']}/drive")["kpis"]["outcome"] == "arrived"
+        for path, body in ((f"/api/live/{live['id']}/stop", None), ("/api/jobs/drive", SECTION)):
+            assert served.post(path, body, code=403)["error"]["message"] == "vera reads only"
+        assert served.get(f"/api/live/{live['id']}")["status"] == "running"
+    finally:
+        served.close()
+
+
+@pytest.mark.parametrize(
+    ("settings", "field"),
+    [
+        ({"user_header": "X-Remote-User"}, "trusted_proxy"),
+        ({"user_header": "Cookie", "trusted_proxies": ("127.0.0.1",)}, "user_header"),
+        ({"user_header": "X-Remote-User", "trusted_proxies": ("proxy",)}, "trusted_proxy"),
+    ],
+)
+def test_a_header_that_anybody_could_send_is_refused(tmp_path, settings, field):
+    with pytest.raises(InputError) as told:
+        Settings(data=tmp_path, **settings)
+    assert told.value.field == field
