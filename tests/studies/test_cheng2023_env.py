@@ -10,14 +10,22 @@ from metropilot.drivers import Pid, PidOptions, TrackingView
 from metropilot.sim import Run, drive
 from metropilot.studies.cheng2023 import course as cheng2023_course
 from metropilot.studies.cheng2023 import setting
+from metropilot.studies.cheng2023.drives import (
+    TUNED_FED_PID,
+    fed_pid_control,
+    position_pid_control,
+    residual_control,
+)
 from metropilot.studies.cheng2023.env import (
     TrackingConfig,
     TrackingFacts,
     TrackingRewards,
     TrackingTask,
     gains_of,
+    residual_law,
     reward_terms,
 )
+from metropilot.studies.cheng2023.residual import placed_gains, step_fed_pid, step_residual_pid
 from metropilot.studies.cheng2023.tracking import (
     compile_course,
     track_compiled,
@@ -144,3 +152,65 @@ def test_observation_is_clipped_and_scaled():
     found = tracking_observation(TrackingView(0.01, -9.0, 10.0, 10.01, 0.5))
     np.testing.assert_allclose(found, [0.5, 0.5, 0.2, -5.0], rtol=1e-6)
     assert found.dtype == np.float32
+
+
+FED = placed_gains(TUNED_FED_PID)
+
+
+def corrected(action):
+    return residual_control(lambda _: np.asarray(action, np.float32), FED)
+
+
+def test_no_correction_is_the_tuned_pid_beside_feed_forward(course):
+    plain = track_course(course, *fed_pid_control(FED))
+    nothing = track_course(course, *corrected(np.zeros(5)))
+    np.testing.assert_array_equal(nothing.command, plain.command)
+    something = track_course(course, *corrected([0.0, 0.0, 0.0, 0.0, 1.0]))
+    assert not np.array_equal(something.command, plain.command)
+
+
+def test_feed_forward_leaves_the_nominal_plant_nothing_to_correct(course):
+    done = tracking_kpis(course, track_course(course, *fed_pid_control(FED)))
+    placed = tracking_kpis(course, track_course(course, *position_pid_control(FED.gains, FED.position_per_s)))
+    assert done.speed_max_mps < 0.1 * placed.speed_max_mps
+    assert done.jerk_mps3 < placed.jerk_mps3
+
+
+@pytest.mark.parametrize(("error_mps", "command"), [(0.02, 0.3), (-0.5, 0.3), (0.001, 1.0), (0.001, -1.0)])
+def test_far_from_the_reference_and_at_full_effort_nothing_is_corrected(error_mps, command):
+    seen, errors = TrackingView(error_mps, 0.01, 10.0, 10.0, command, 0.0), Errors(0.0, 0.0)
+    worst = step_residual_pid(lambda _: np.ones(5, np.float32), FED, seen, errors)
+    assert worst == step_fed_pid(FED, seen, errors)
+    near = TrackingView(0.001, 0.01, 10.0, 10.0, 0.3, 0.0)
+    assert step_residual_pid(lambda _: np.ones(5, np.float32), FED, near, errors) != step_fed_pid(
+        FED, near, errors
+    )
+
+
+def test_the_task_corrects_as_the_controller_does_and_noise_reaches_the_law_alone(course):
+    action = np.array([0.5, -0.5, 0.2, 0.3, 0.4], np.float32)
+    record = track_course(course, *corrected(action))
+    task = TrackingTask(TrackingConfig((course,), residual_law(FED), noise_mps=0.01))
+
+    def one(state, key):
+        state, transition = task.step(key, state, jnp.asarray(action))
+        return state, (state.loop.plant.speed_mps, state.off_mps, transition.observation)
+
+    keys = jax.random.split(jax.random.key(0), course.periods)
+    state, first = task.begin(jnp.int32(0))
+    assert first.shape == (task.observation_size,) == (6,)
+    _, (quiet, off, _) = jax.lax.scan(one, state, keys)
+    np.testing.assert_allclose(quiet[:-1], record.speed_mps[1:], atol=2e-3)
+    assert not off.any()
+    _, (noisy, off, _) = jax.lax.scan(one, state._replace(noise_mps=jnp.float32(0.01)), keys)
+    assert float(jnp.std(off)) == pytest.approx(0.01, rel=0.2)
+    assert 1e-4 < float(jnp.abs(noisy - quiet).max()) < 0.2
+
+
+def test_drawn_courses_are_none_of_the_studys_and_the_same_for_a_seed():
+    first, again = setting.draw_courses(3, seed=1), setting.draw_courses(3, seed=1)
+    for one, other in zip(first, again, strict=True):
+        np.testing.assert_array_equal(one.speed_mps, other.speed_mps)
+    assert len({float(one.vehicle.davis_n[0]) for one in first}) == 3
+    tops = {round(float(one.speed_mps.max()), 3) for one in first}
+    assert not tops & {round(float(setting.course(scenario=k).speed_mps.max()), 3) for k in setting.SCENARIOS}

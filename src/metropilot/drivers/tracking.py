@@ -72,6 +72,8 @@ class TrackingView(NamedTuple):
         speed_mps: Speed.
         reference_mps: Speed of the reference.
         command: Command of the period before.
+        feed_forward: Change since then of the command that the reference takes of the nominal plant; 0 where
+            nobody computes it.
     """
 
     error_mps: Array
@@ -79,6 +81,7 @@ class TrackingView(NamedTuple):
     speed_mps: Array
     reference_mps: Array
     command: Array
+    feed_forward: Array = 0.0
 
 
 @dataclass(frozen=True)

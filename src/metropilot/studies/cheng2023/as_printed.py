@@ -9,7 +9,7 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from metropilot.studies.cheng2023.drives import policy_control, table_1, values
-from metropilot.studies.cheng2023.env import TrackingConfig, TrackingRewards, TrackingTask
+from metropilot.studies.cheng2023.env import TrackingConfig, TrackingRewards, TrackingTask, gains_law
 from metropilot.studies.cheng2023.learning import REWARDS, config
 from metropilot.studies.cheng2023.setting import NAMES, course
 from metropilot.studies.cheng2023.tracking import SCALE, ObservationScale, track_course, tracking_kpis
@@ -40,7 +40,7 @@ def literal_task(energy_j: float) -> TrackingTask:
     """The paper's task: from standstill to the planned end of the run."""
     rewards = literal_rewards(energy_j)
     return TrackingTask(
-        TrackingConfig((course(),), rewards=rewards, on_the_way=0.0, scale=STATE, grace=False)
+        TrackingConfig((course(),), gains_law(scale=STATE), rewards=rewards, on_the_way=0.0, grace=False)
     )
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -46,13 +46,28 @@ def load_gains_policy(path: Path) -> GuardedPolicy:
     Raises:
         InputError: The file cannot be read, is damaged, or is of a policy that sees or sets something else.
     """
+    return load_tracking_policy(path, GAINS_OBSERVATION, 3)
+
+
+def load_tracking_policy(path: Path, observed: Sequence[str], actions: int) -> GuardedPolicy:
+    """A policy of a tracking law, from its file.
+
+    Args:
+        path: The file.
+        observed: Entries of its observation.
+        actions: Numbers that it answers with.
+
+    Raises:
+        InputError: The file cannot be read, is damaged, or is of a policy that sees or sets something else.
+    """
     policy, about = load_policy(path)
-    found = about.get("observed")
-    if found != list(GAINS_OBSERVATION):
-        allowed = ", ".join(GAINS_OBSERVATION)
-        raise InputError("does not see what ddpg_pid does", file=path, field="observed", allowed=allowed)
-    if (policy.spec.observation_size, policy.spec.actions, policy.spec.discrete) != (4, 3, False):
-        raise InputError("does not set three gains", file=path, field="policy", value=policy.spec.actions)
+    if about.get("observed") != list(observed):
+        allowed = ", ".join(observed)
+        raise InputError("sees something else than this law", file=path, field="observed", allowed=allowed)
+    spec = policy.spec
+    if (spec.observation_size, spec.actions, spec.discrete) != (len(observed), actions, False):
+        said = f"{actions} numbers from {len(observed)}"
+        raise InputError("does not fit this law", file=path, field="policy", value=spec.actions, allowed=said)
     return GuardedPolicy(policy, path)
 
 

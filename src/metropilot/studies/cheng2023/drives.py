@@ -19,6 +19,12 @@ from metropilot.studies.cheng2023.neural_pid import (
     fresh_network,
     step_neural_pid,
 )
+from metropilot.studies.cheng2023.residual import (
+    PlacedGains,
+    placed_gains,
+    step_fed_pid,
+    step_residual_pid,
+)
 from metropilot.studies.cheng2023.setting import KPIS, NAMES, TABLE_1, optimal_kwh
 from metropilot.studies.cheng2023.tracking import SCALE, ObservationScale, TrackingController, TrackingKpis
 from metropilot.studies.report import ReportRow, make_row
@@ -32,6 +38,15 @@ TUNED_POSITION_PID: Mapping[str, float] = MappingProxyType(
     {"kp": 4.93636, "ki": 1.41958, "kd": 1.35521, "position_per_s": 6.67608}
 )
 """Result of the search over 1,200 runs with seed 0 (:func:`.tuning.tune_driver`)."""
+FED_PID = "pid with position and feed-forward, tuned"
+"""The same beside the command that the reference takes of the nominal plant."""
+TUNED_FED_PID: Mapping[str, float] = MappingProxyType(
+    {"kp": 3.25418, "ki": 1.49557, "kd": 0.76323, "position_per_s": 1.32424}
+)
+"""Result of the same search at 1.5 times the resistance: at the nominal one nothing is left to correct."""
+RESIDUAL = "ddpg_pid, residual"
+"""DDPG that corrects that PID."""
+LEARNED = ("ddpg_pid", RESIDUAL)
 
 
 @dataclass(frozen=True)
@@ -73,6 +88,24 @@ def position_pid_control(gains: Gains, position_per_s: Any) -> Start:  # noqa: A
     return control, NO_ERRORS
 
 
+def fed_pid_control(placed: PlacedGains) -> Start:
+    """PID with fixed gains on speed and position error, beside feed-forward."""
+
+    def control(memory: Errors, seen: Any) -> tuple[Any, Errors]:  # noqa: ANN401 (arrays)
+        return step_fed_pid(placed, seen, memory)
+
+    return control, NO_ERRORS
+
+
+def residual_control(policy: Callable[[Any], Any], placed: PlacedGains) -> Start:
+    """The same, corrected by a policy."""
+
+    def control(memory: Errors, seen: Any) -> tuple[Any, Errors]:  # noqa: ANN401 (arrays)
+        return step_residual_pid(policy, placed, seen, memory)
+
+    return control, NO_ERRORS
+
+
 def fuzzy_control(gains: Gains, universes: Universes) -> Start:
     """PID with gains changed by fuzzy rules."""
 
@@ -101,14 +134,18 @@ def policy_control(policy: Callable[[Any], Any], scale: ObservationScale = SCALE
 
 
 def controllers_to_compare(
-    tuned: Mapping[str, Mapping[str, float]], policies: Mapping[int, Callable[[Any], Any]]
+    tuned: Mapping[str, Mapping[str, float]],
+    policies: Mapping[int, Callable[[Any], Any]],
+    corrections: Mapping[int, Callable[[Any], Any]],
 ) -> tuple[ComparedController, ...]:
     """Controllers of the comparison.
 
     Args:
         tuned: Parameters found by the search, by driver and name.
-        policies: One policy per seed.
+        policies: One policy per seed that sets gains.
+        corrections: One per seed that corrects the PID beside feed-forward that they were learned with.
     """
+    corrected = placed_gains(TUNED_FED_PID)
     by_hand, p, f, n = CHENG2023_GAINS, tuned["pid"], tuned["fuzzy_pid"], tuned["neural_pid"]
     placed = tuned[POSITION_PID]
     universes = Universes(f["error_mps"], f["change_mps"], f["kp_span"], f["ki_span"], f["kd_span"])
@@ -118,11 +155,13 @@ def controllers_to_compare(
         ComparedController("pid", "pid", lambda _: pid_control(by_hand)),
         ComparedController("pid tuned", "", lambda _: pid_control(_gains(p))),
         ComparedController(POSITION_PID, "", lambda _: of_position),
+        ComparedController(FED_PID, "", lambda _: fed_pid_control(placed_gains(tuned[FED_PID]))),
         ComparedController("fuzzy_pid", "fuzzy_pid", lambda _: fuzzy_control(by_hand, ASSUMED_UNIVERSES)),
         ComparedController("fuzzy_pid tuned", "", lambda _: fuzzy_control(_gains(f), universes)),
         ComparedController("neural_pid", "neural_pid", partial(neural_control, by_hand, TEXTBOOK_RATES)),
         ComparedController("neural_pid tuned", "", partial(neural_control, _gains(n), rates)),
         ComparedController("ddpg_pid", "ddpg_pid", lambda seed: policy_control(policies[seed])),
+        ComparedController(RESIDUAL, "ddpg_pid", lambda seed: residual_control(corrections[seed], corrected)),
     )
 
 
@@ -173,7 +212,7 @@ def other_scenarios(
     """
     rows = []
     for scenario, numbers in published.items():
-        for driver in ("ddpg_pid", "pid tuned", POSITION_PID):
+        for driver in ("ddpg_pid", RESIDUAL, "pid tuned", POSITION_PID, FED_PID):
             found = measured[driver, scenario]
             for (field, words, unit), number in zip(KPIS, numbers, strict=True):
                 each = values(found, field)
@@ -181,7 +220,7 @@ def other_scenarios(
                     words = words.replace("total", "average")  # noqa: PLW2901
                     if field.endswith(("total_mps", "total_m")):
                         each = [v / float(k.periods) for v, k in zip(each, found, strict=True)]
-                said, best = number if driver == "ddpg_pid" else None, optimum(field, scenario)
+                said, best = number if driver in LEARNED else None, optimum(field, scenario)
                 rows.append(make_row(table, NAMES[scenario], driver, words, unit, each, said, best))
     return rows
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -9,9 +10,17 @@ import numpy as np
 
 from metropilot._typing import Array, Flag, Float, Index, Key, Scalar
 from metropilot.control import CHENG2023_UPPER, Errors, Gains, incremental_pid
+from metropilot.drivers import TrackingView
 from metropilot.env import AbstractTask, ActionSpace, Transition
 from metropilot.errors import InputError
 from metropilot.physics import davis_n, effort_at
+from metropilot.studies.cheng2023.residual import (
+    ACTIONS,
+    RESIDUAL_OBSERVATION,
+    PlacedGains,
+    residual_observation,
+    step_corrected_pid,
+)
 from metropilot.studies.cheng2023.tracking import (
     SCALE,
     ObservationScale,
@@ -59,31 +68,81 @@ class TrackingRewards:
                 raise InputError("out of range", field=name, value=getattr(self, name), allowed="> 0")
 
 
+class TrackingLaw(NamedTuple):
+    """Law whose parameters a policy sets at each period.
+
+    Attributes:
+        actions: Numbers of an action.
+        entries: Numbers of an observation.
+        observe: From controller inputs and the errors before to an observation.
+        step: From an action, controller inputs and the errors before to the command and the errors after.
+    """
+
+    actions: int
+    entries: int
+    observe: Callable[[TrackingView, Errors], Array]
+    step: Callable[[Array, TrackingView, Errors], tuple[Array, Errors]]
+
+
+def gains_law(upper: Gains = CHENG2023_UPPER, scale: ObservationScale = SCALE) -> TrackingLaw:
+    """The paper's: the policy sets three gains (Cheng23 eqs. 10, 15 and 16).
+
+    Args:
+        upper: Upper limits of the gains (eq. 10).
+        scale: Scale of the observation.
+    """
+    return TrackingLaw(
+        3,
+        4,
+        lambda seen, _: tracking_observation(seen, scale),
+        lambda action, seen, errors: incremental_pid(
+            seen.command, gains_of(action, upper), seen.error_mps, errors
+        ),
+    )
+
+
+PAPER_LAW = gains_law()
+"""The paper's law with its limits and the scale of this study."""
+
+
+def residual_law(placed: PlacedGains) -> TrackingLaw:
+    """The policy corrects a tuned PID beside feed-forward (:mod:`.residual`).
+
+    Args:
+        placed: Gains that it corrects.
+    """
+
+    def step(action: Array, seen: TrackingView, errors: Errors) -> tuple[Array, Errors]:
+        return step_corrected_pid(action, placed, seen, errors)
+
+    return TrackingLaw(ACTIONS, len(RESIDUAL_OBSERVATION), residual_observation, step)
+
+
 @dataclass(frozen=True, eq=False)
 class TrackingConfig:
     """Configuration of a tracking task.
 
     Attributes:
         courses: References to track; an episode draws one. They are padded to one length.
-        upper: Upper limits of the gains (eq. 10).
+        law: Law whose parameters an action sets.
         rewards: Terms of the reward.
         limit_mps: Speed limit (eq. 18 ends the episode above it).
         on_the_way: Share of episodes that begin on the way, near the reference.
         apart_mps: Largest speed error they begin with.
         apart_m: Largest position error they begin with.
-        scale: Scale of the observation.
+        noise_mps: Largest standard deviation of the measured speed; an episode draws one.
         grace: Let a trainset that still moves at the end of the reference come to a stand; the paper ends the
             episode there.
     """
 
     courses: tuple[ReferenceCourse, ...]
-    upper: Gains = CHENG2023_UPPER
+    law: TrackingLaw = PAPER_LAW
     rewards: TrackingRewards = TrackingRewards()
     limit_mps: float = 80 / KMH_PER_MPS
     on_the_way: float = 0.5
     apart_mps: float = 0.1
     apart_m: float = 0.2
-    scale: ObservationScale = SCALE
+    noise_mps: float = 0.0
     grace: bool = True
 
 
@@ -130,24 +189,32 @@ def reward_terms(rewards: TrackingRewards, facts: TrackingFacts) -> dict[str, Sc
 
 
 class TrackingState(NamedTuple):
-    """State of an episode: that of the loop, and the course it is on."""
+    """State of an episode: that of the loop, the course it is on, and the noise of the measured speed.
+
+    Attributes:
+        loop: State of the loop.
+        course: Number of the course.
+        noise_mps: Standard deviation of the measured speed.
+        off_mps: Error of the measurement now.
+    """
 
     loop: TrackState
     course: Index
+    noise_mps: Scalar
+    off_mps: Scalar
 
 
 class TrackingTask(AbstractTask):
-    """Choose the gains of an incremental PID at each control period so that a reference is tracked.
+    """Set the parameters of a tracking law at each control period so that a reference is tracked.
 
     Args:
         config: Configuration of the task.
     """
 
-    action_space = ActionSpace(size=3)
-    observation_size = 4
-
     def __init__(self, config: TrackingConfig) -> None:
         self.config = config
+        self.action_space = ActionSpace(size=config.law.actions)
+        self.observation_size = config.law.entries
         self.longest = max(course.periods for course in config.courses)
         import jax
 
@@ -160,17 +227,25 @@ class TrackingTask(AbstractTask):
 
         return jax.tree.map(lambda leaf: leaf[index], self.courses)
 
-    def begin(self, index: Index) -> tuple[TrackingState, Float[Array, "4"]]:
-        """Begin an episode on a course from standstill."""
+    def begin(self, index: Index) -> tuple[TrackingState, Float[Array, " entries"]]:
+        """Begin an episode on a course from standstill, without noise."""
         import jax.numpy as jnp
 
-        loop = start_compiled()
-        return TrackingState(loop, jnp.asarray(index, jnp.int32)), self._observe(self.course(index), loop)
+        none = jnp.float32(0.0)
+        state = TrackingState(start_compiled(), jnp.asarray(index, jnp.int32), none, none)
+        return state, self._observe(state)
 
-    def _observe(self, course: ReferenceCourse, loop: TrackState) -> Float[Array, "4"]:
-        return tracking_observation(tracking_view(course, loop), self.config.scale)
+    def _view(self, state: TrackingState) -> TrackingView:
+        """Inputs of the law: the speed as it is measured."""
+        seen = tracking_view(self.course(state.course), state.loop)
+        return seen._replace(
+            error_mps=seen.error_mps - state.off_mps, speed_mps=seen.speed_mps + state.off_mps
+        )
 
-    def reset(self, key: Key) -> tuple[TrackingState, Float[Array, "4"]]:
+    def _observe(self, state: TrackingState) -> Float[Array, " entries"]:
+        return self.config.law.observe(self._view(state), state.loop.errors)
+
+    def reset(self, key: Key) -> tuple[TrackingState, Float[Array, " entries"]]:
         """Begin an episode on a random course, from standstill or near the reference on the way."""
         import jax
         import jax.numpy as jnp
@@ -196,20 +271,19 @@ class TrackingTask(AbstractTask):
         moving = TrackState(plant, command, Errors(error, error), k)
         on_the_way = jax.random.uniform(share) < config.on_the_way
         loop = jax.tree.map(lambda a, b: jnp.where(on_the_way, a, b), moving, state.loop)
-        return TrackingState(loop, state.course), self._observe(course, loop)
+        noise = config.noise_mps * jax.random.uniform(jax.random.fold_in(key, 1))
+        state = state._replace(loop=loop, noise_mps=jnp.float32(noise))
+        return state, self._observe(state)
 
     def step(
-        self, key: Key, state: TrackingState, action: Float[Array, "3"]
+        self, key: Key, state: TrackingState, action: Float[Array, " actions"]
     ) -> tuple[TrackingState, Transition]:
-        """Take one control period with the gains of an action."""
+        """Take one control period with the parameters of an action."""
+        import jax
         import jax.numpy as jnp
 
-        del key
         config, course = self.config, self.course(state.course)
-        given = tracking_view(course, state.loop)
-        command, errors = incremental_pid(
-            given.command, gains_of(action, config.upper), given.error_mps, state.loop.errors
-        )
+        command, errors = config.law.step(action, self._view(state), state.loop.errors)
         loop = advance_tracking(course, state.loop, command, errors)
         after, plant, before = tracking_view(course, loop), loop.plant, state.loop.plant
         unsafe = plant.speed_mps > config.limit_mps
@@ -226,14 +300,16 @@ class TrackingTask(AbstractTask):
             over=over,
         )
         terms = reward_terms(config.rewards, facts)
+        off = state.noise_mps * jax.random.normal(key) if config.noise_mps > 0.0 else state.off_mps
+        state = state._replace(loop=loop, off_mps=off)
         transition = Transition(
-            observation=tracking_observation(after, config.scale),
+            observation=self._observe(state),
             reward=sum(terms.values(), jnp.float32(0.0)),
             terminated=unsafe | over,
             truncated=jnp.zeros((), bool),
             terms=terms,
         )
-        return TrackingState(loop, state.course), transition
+        return state, transition
 
 
 def gains_of(action: Float[Array, "3"], upper: Gains = CHENG2023_UPPER) -> Gains:
@@ -247,4 +323,5 @@ def _pad(course: ReferenceCourse, periods: int) -> ReferenceCourse:
     return course._replace(
         position_m=np.pad(course.position_m, (0, extra), mode="edge"),
         speed_mps=np.pad(course.speed_mps, (0, extra), mode="edge"),
+        needed=np.pad(course.needed, (0, extra), mode="edge"),
     )

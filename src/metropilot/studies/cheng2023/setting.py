@@ -140,6 +140,25 @@ def reference_of(kind: str, speed: str = "base") -> TimedReference:
     return reference_under(ReferenceTrack(vehicle, track, effort_share=EFFORT_SHARE), shape, cruise, DT_S)
 
 
+def draw_courses(count: int, seed: int) -> tuple[ReferenceCourse, ...]:
+    """Draw S-curves of other shapes and speeds than the study's, each with its own running resistance.
+
+    Args:
+        count: Number of courses.
+        seed: Seed of the draw.
+    """
+    random = np.random.default_rng(seed)
+    track = ReferenceTrack(
+        vehicle_arrays(trainset()), track_arrays(section(), trainset()), effort_share=EFFORT_SHARE
+    )
+    found = []
+    for _ in range(count):
+        shape = ReferenceShape(*random.uniform((0.6, 0.6, 0.3), (0.95, 0.95, 0.8)))
+        timed = reference_under(track, shape, float(random.uniform(15.0, 20.5)), DT_S)
+        found.append(course_of(trainset(), section(), timed, float(random.uniform(0.5, 1.5))))
+    return tuple(found)
+
+
 def course(kind: str = "s_curve", scenario: int = 1) -> ReferenceCourse:
     """Course to track in a scenario: reference, vehicle and track."""
     speed, factor = SCENARIOS[scenario]

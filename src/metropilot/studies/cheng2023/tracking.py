@@ -21,6 +21,8 @@ from metropilot.physics import (
     State,
     Track,
     Vehicle,
+    command_for_force,
+    davis_n,
     namespace,
     to_jax,
     track_arrays,
@@ -43,6 +45,7 @@ class ReferenceCourse(NamedTuple):
         track: The section.
         position_m: Position of the reference at the start of each period, held after its end.
         speed_mps: Its speed.
+        needed: Command that it takes of the nominal plant in each period.
         end: Period in which the reference comes to a standstill.
         dt: Control period, s.
     """
@@ -51,6 +54,7 @@ class ReferenceCourse(NamedTuple):
     track: Track
     position_m: Float[Array, " nodes"]
     speed_mps: Scalar
+    needed: Float[Array, " nodes"]
     end: Index
     dt: Scalar
 
@@ -90,8 +94,8 @@ def course_of(
         reference: Reference, sampled at the control period.
         resistance_factor: True over nominal running resistance.
     """
-    vehicle = vehicle_arrays(trainset)
-    vehicle = vehicle._replace(davis_n=vehicle.davis_n * resistance_factor)
+    nominal = vehicle_arrays(trainset)
+    vehicle = nominal._replace(davis_n=nominal.davis_n * resistance_factor)
     dt = reference.period_s
     end = int(np.ceil(reference.duration_s / dt - 1e-9))
     count = end + round(GRACE_S / dt) + 1
@@ -101,9 +105,26 @@ def course_of(
         track_arrays(section, trainset),
         reference.position_m[held],
         reference.speed_mps[held],
+        needed_commands(nominal, reference.speed_mps[held], dt),
         np.int64(end),
         np.float64(dt),
     )
+
+
+def needed_commands(
+    nominal: Vehicle, speed_mps: Float[np.ndarray, " nodes"], dt: float
+) -> Float[np.ndarray, " nodes"]:
+    """Compute the command that a reference takes of the nominal plant in each period, on level track.
+
+    Args:
+        nominal: Plant as it is known, not as it is.
+        speed_mps: Speed of the reference at the start of each period.
+        dt: Control period, s.
+    """
+    rate = np.diff(speed_mps, append=speed_mps[-1]) / dt
+    moves = (speed_mps > 0.0) | (rate > 0.0)
+    force = np.where(moves, rate * nominal.effective_mass_kg + davis_n(nominal, speed_mps), 0.0)
+    return command_for_force(nominal, speed_mps, force)
 
 
 def compile_course(course: ReferenceCourse) -> ReferenceCourse:
@@ -140,13 +161,14 @@ def start_compiled() -> TrackState:
 def tracking_view(course: ReferenceCourse, state: TrackState) -> TrackingView:
     """Inputs of the controller at the start of a period."""
     plant, k = state.plant, state.period
-    reference = course.speed_mps[k]
+    reference, xp = course.speed_mps[k], array_namespace(course.needed)
     return TrackingView(
         reference - plant.speed_mps,
         course.position_m[k] - plant.position_m,
         plant.speed_mps,
         reference,
         state.command,
+        course.needed[k] - xp.where(k > 0, course.needed[xp.maximum(k - 1, 0)], 0.0),
     )
 
 

@@ -14,8 +14,10 @@ from metropilot._typing import Array, Float
 from metropilot.control import CHENG2023_UPPER, Gains
 from metropilot.errors import InputError
 from metropilot.studies.cheng2023.drives import (
+    FED_PID,
     POSITION_PID,
     Start,
+    fed_pid_control,
     fuzzy_control,
     neural_control,
     pid_control,
@@ -23,6 +25,7 @@ from metropilot.studies.cheng2023.drives import (
 )
 from metropilot.studies.cheng2023.fuzzy_pid import Universes
 from metropilot.studies.cheng2023.neural_pid import LearningRates
+from metropilot.studies.cheng2023.residual import PlacedGains
 from metropilot.studies.cheng2023.tracking import (
     ReferenceCourse,
     compile_course,
@@ -101,6 +104,13 @@ TUNABLE: Mapping[str, Tunable] = MappingProxyType(
             (*_UPPER, 10.0),
             (False,) * 4,
             lambda values: [position_pid_control(Gains(*values[:3]), values[3])],
+        ),
+        FED_PID: Tunable(
+            (*_NAMES, "position_per_s"),
+            (0.0, 0.0, 0.0, 0.0),
+            (*_UPPER, 10.0),
+            (False,) * 4,
+            lambda values: [fed_pid_control(PlacedGains(Gains(*values[:3]), values[3]))],
         ),
         "fuzzy_pid": Tunable(
             (*_NAMES, "error_mps", "change_mps", "kp_span", "ki_span", "kd_span"),
