@@ -54,7 +54,8 @@ def serve_command(
     ] = None,
     user_jobs: Annotated[int, typer.Option(min=1, help="Jobs that a named user may have under way.")] = 8,
     user_mb: Annotated[
-        float, typer.Option("--user-mb", min=0.01, help="Runs and uploads that a named user may keep, MB.")
+        float,
+        typer.Option("--user-mb", min=0.01, max=1e6, help="Runs and uploads that a named user may keep, MB."),
     ] = 2000.0,
     workers: Annotated[int, typer.Option(min=1, help="Drives and comparisons computed at once.")] = 1,
     upload_mb: Annotated[

@@ -114,7 +114,7 @@ class SlowSection:
         check_fields(self)
 
 
-class Motion(NamedTuple):
+class TrainMotion(NamedTuple):
     """A drive of a trip, from its beginning or from where the train stood.
 
     Attributes:
@@ -154,7 +154,7 @@ class RunningTrain:
     number: int
     service: int
     trip: int
-    motion: Motion | None = None
+    motion: TrainMotion | None = None
     set_out_s: float = 0.0
     arrived_s: float = 0.0
     held_s: float = 0.0
@@ -202,7 +202,7 @@ class RunningLine:
         )
         self.lengths_m = lengths
         self.planned = [self._motion(k, self._profile(k)) for k in range(lengths.size)]
-        self.drives: dict[tuple[int, int, float | None], Motion] = {}
+        self.drives: dict[tuple[int, int, float | None], TrainMotion] = {}
         self.holds: dict[int, float] = {}
         self.limits: dict[int, tuple[float, float]] = {}
         self.hardest_mps2 = 0.0
@@ -219,14 +219,14 @@ class RunningLine:
     def _profile(self, trip: int) -> PowerProfile:
         return self.found.profiles[trip][int(self.found.timetable.running_time_s[trip])]
 
-    def _motion(self, trip: int, profile: PowerProfile) -> Motion:
+    def _motion(self, trip: int, profile: PowerProfile) -> TrainMotion:
         run, reach = self.motions.motion(trip, profile)
         lasts = np.diff(profile.time_s)
         sums = [
             np.concatenate([[0.0], np.cumsum(lasts * each.mean(axis=1))])
             for each in (profile.drawn_w, profile.returned_w)
         ]
-        return Motion(profile, run.time_s, reach, *sums)
+        return TrainMotion(profile, run.time_s, reach, *sums)
 
     def _edges(self) -> Float[ndarray, " edges"]:
         """Ends of the fixed blocks from the terminal station, with the overlaps beyond the stops."""
@@ -430,7 +430,7 @@ class RunningLine:
         train.motion, train.set_out_s, train.held_s, train.waits = motion, leaves_s, 0.0, False
         train.delay_s = leaves_s + motion.profile.running_time_s - due_s - self._runs_s(train.trip)
 
-    def _is_clear(self, train: RunningTrain, motion: Motion, leaves_s: float) -> bool:
+    def _is_clear(self, train: RunningTrain, motion: TrainMotion, leaves_s: float) -> bool:
         """Tell whether a train can depart; as planned, behind one on time, the headway allows it."""
         ahead = self._ahead(train)
         if ahead is None:
@@ -438,7 +438,7 @@ class RunningLine:
         as_planned = motion is self.planned[train.trip] and ahead.delay_s < 1.0 and ahead.held_s == 0.0
         return as_planned or leaves_s >= self._free_from_s(train, train.trip, motion)
 
-    def _drive(self, trip: int, late_s: float) -> Motion:
+    def _drive(self, trip: int, late_s: float) -> TrainMotion:
         """Drive of a trip: as planned, faster by as much as it is late, slower where it must be."""
         limit_mps, until_s = self.limits.get(trip, (0.0, 0.0))
         limit = limit_mps if until_s > self.time_s else None
@@ -478,7 +478,7 @@ class RunningLine:
             train.delay_s = self.time_s + motion.profile.running_time_s - due_s
             self.news.append((self.time_s, f"train {train.number} drives on"))
 
-    def _drive_on(self, trip: int, from_m: float) -> Motion:
+    def _drive_on(self, trip: int, from_m: float) -> TrainMotion:
         """Drive from standstill on the way to the next platform, as fast as it can."""
         key = trip, -1, round(from_m, 1)
         if key not in self.drives:
@@ -541,7 +541,7 @@ class RunningLine:
             return False
         return float(self._asked_m(np.array([needed_m]))[0]) > rear_m + SAME_M
 
-    def _free_from_s(self, train: RunningTrain, trip: int, motion: Motion) -> float:
+    def _free_from_s(self, train: RunningTrain, trip: int, motion: TrainMotion) -> float:
         """Moment from which a train can set out and find its way free whenever its supervisor asks for it."""
         ahead = self._ahead(train)
         if ahead is None:
