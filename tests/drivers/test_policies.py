@@ -184,8 +184,7 @@ SHIPPED = [key for key in DRIVERS.ids() if issubclass(DRIVERS.get(key), shipped.
     "path", sorted(shipped_policy("any").parent.glob("*.safetensors")), ids=lambda path: path.stem
 )
 def test_shipped_policies_belong_to_a_driver_and_say_where_they_come_from(path):
-    # the residual of a study, which compares it without protection, is no driver of its own
-    assert path.stem in {*DRIVERS.ids(), *FOLLOWERS.ids(), "ddpg_pid_residual"}
+    assert path.stem in {*DRIVERS.ids(), *FOLLOWERS.ids()}
     _, about = load_policy(path)
     assert {"task", "algorithm", "seed", "config", "kpis", "provenance"} <= set(about)
     told = about["provenance"]

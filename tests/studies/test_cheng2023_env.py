@@ -7,25 +7,25 @@ import pytest
 
 from metropilot.control import CHENG2023_UPPER, Errors, Gains, incremental_pid
 from metropilot.drivers import Pid, PidOptions, TrackingView
+from metropilot.policy import load_policy
 from metropilot.sim import Run, drive
 from metropilot.studies.cheng2023 import course as cheng2023_course
 from metropilot.studies.cheng2023 import setting
 from metropilot.studies.cheng2023.drives import (
     TUNED_FED_PID,
     fed_pid_control,
+    policy_control,
     position_pid_control,
-    residual_control,
 )
 from metropilot.studies.cheng2023.env import (
     TrackingConfig,
     TrackingFacts,
     TrackingRewards,
     TrackingTask,
-    gains_of,
-    residual_law,
     reward_terms,
 )
-from metropilot.studies.cheng2023.residual import placed_gains, step_fed_pid, step_residual_pid
+from metropilot.studies.cheng2023.law import gains_of
+from metropilot.studies.cheng2023.residual import CORRECTIONS, placed_gains, residual_law, step_fed_pid
 from metropilot.studies.cheng2023.tracking import (
     compile_course,
     track_compiled,
@@ -42,7 +42,7 @@ def course():
     return cheng2023_course()
 
 
-def fixed(gains):
+def keep_gains(gains):
     def control(memory, seen):
         return incremental_pid(seen.command, gains, seen.error_mps, memory)
 
@@ -81,7 +81,7 @@ def test_gains_span_zero_to_their_upper_limits():
 
 def test_constant_gains_fix_the_sum_of_the_errors(course):
     # Eq. 15 telescopes while nothing is clipped: u = kp e + ki sum(e) + kd (e - e1).
-    record = track_course(course, fixed(GAINS), Errors(0.0, 0.0))
+    record = track_course(course, keep_gains(GAINS), Errors(0.0, 0.0))
     free = int(np.argmax(np.abs(record.command) >= 1.0))
     assert free > 60
     error = record.error_mps
@@ -91,11 +91,11 @@ def test_constant_gains_fix_the_sum_of_the_errors(course):
 
 
 def test_the_task_the_scan_and_the_host_drive_the_same_run(course):
-    record = track_course(course, fixed(GAINS), Errors(0.0, 0.0))
+    record = track_course(course, keep_gains(GAINS), Errors(0.0, 0.0))
     kpis = tracking_kpis(course, record)
     single = compile_course(course)
     start = Errors(jnp.float32(0.0), jnp.float32(0.0))
-    again = jax.jit(lambda: tracking_kpis(single, track_compiled(single, fixed(GAINS), start), jnp))()
+    again = jax.jit(lambda: tracking_kpis(single, track_compiled(single, keep_gains(GAINS), start), jnp))()
     assert again.speed_total_mps == pytest.approx(kpis.speed_total_mps, rel=1e-3)
     assert again.parking_m == pytest.approx(kpis.parking_m, abs=0.02)
 
@@ -155,17 +155,18 @@ def test_observation_is_clipped_and_scaled():
 
 
 FED = placed_gains(TUNED_FED_PID)
+CORRECTED = residual_law(FED)
 
 
-def corrected(action):
-    return residual_control(lambda _: np.asarray(action, np.float32), FED)
+def correct_by(action):
+    return policy_control(CORRECTED, lambda _: np.asarray(action, np.float32))
 
 
 def test_no_correction_is_the_tuned_pid_beside_feed_forward(course):
     plain = track_course(course, *fed_pid_control(FED))
-    nothing = track_course(course, *corrected(np.zeros(5)))
+    nothing = track_course(course, *correct_by(np.zeros(5)))
     np.testing.assert_array_equal(nothing.command, plain.command)
-    something = track_course(course, *corrected([0.0, 0.0, 0.0, 0.0, 1.0]))
+    something = track_course(course, *correct_by([0.0, 0.0, 0.0, 0.0, 1.0]))
     assert not np.array_equal(something.command, plain.command)
 
 
@@ -177,20 +178,18 @@ def test_feed_forward_leaves_the_nominal_plant_nothing_to_correct(course):
 
 
 @pytest.mark.parametrize(("error_mps", "command"), [(0.02, 0.3), (-0.5, 0.3), (0.001, 1.0), (0.001, -1.0)])
-def test_far_from_the_reference_and_at_full_effort_nothing_is_corrected(error_mps, command):
+def test_far_from_the_reference_and_at_full_effort_nothing_is_correct_by(error_mps, command):
     seen, errors = TrackingView(error_mps, 0.01, 10.0, 10.0, command, 0.0), Errors(0.0, 0.0)
-    worst = step_residual_pid(lambda _: np.ones(5, np.float32), FED, seen, errors)
+    worst = CORRECTED.step(np.ones(5, np.float32), seen, errors)
     assert worst == step_fed_pid(FED, seen, errors)
     near = TrackingView(0.001, 0.01, 10.0, 10.0, 0.3, 0.0)
-    assert step_residual_pid(lambda _: np.ones(5, np.float32), FED, near, errors) != step_fed_pid(
-        FED, near, errors
-    )
+    assert CORRECTED.step(np.ones(5, np.float32), near, errors) != step_fed_pid(FED, near, errors)
 
 
 def test_the_task_corrects_as_the_controller_does_and_noise_reaches_the_law_alone(course):
     action = np.array([0.5, -0.5, 0.2, 0.3, 0.4], np.float32)
-    record = track_course(course, *corrected(action))
-    task = TrackingTask(TrackingConfig((course,), residual_law(FED), noise_mps=0.01))
+    record = track_course(course, *correct_by(action))
+    task = TrackingTask(TrackingConfig((course,), CORRECTED, noise_mps=0.01))
 
     def one(state, key):
         state, transition = task.step(key, state, jnp.asarray(action))
@@ -214,3 +213,10 @@ def test_drawn_courses_are_none_of_the_studys_and_the_same_for_a_seed():
     assert len({float(one.vehicle.davis_n[0]) for one in first}) == 3
     tops = {round(float(one.speed_mps.max()), 3) for one in first}
     assert not tops & {round(float(setting.course(scenario=k).speed_mps.max()), 3) for k in setting.SCENARIOS}
+
+
+def test_the_kept_corrections_say_where_they_come_from():
+    _, about = load_policy(CORRECTIONS)
+    assert about["task"]["corrects"] == dict(TUNED_FED_PID)
+    assert about["kpis"]["speed_total_mps"] < 0.1
+    assert {"command", "commit", "date", "machine"} <= set(about["provenance"])

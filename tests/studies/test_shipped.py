@@ -14,7 +14,7 @@ from metropilot.studies.lu2023.learning import ALL_STEPS, LEARNING, plan_job
 from metropilot.studies.lu2023.setting import PLANS
 
 POLICIES = shipped_policy("ppo").parent
-BY_STUDY = {"ddpg_pid", "ddpg_pid_follow", "ddpg_pid_residual", "sac_pid"}
+BY_STUDY = {"ddpg_pid", "ddpg_pid_follow", "sac_pid"}
 """These learn no driving task; their study declares task and learner."""
 
 

@@ -9,7 +9,8 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from metropilot.studies.cheng2023.drives import policy_control, table_1, values
-from metropilot.studies.cheng2023.env import TrackingConfig, TrackingRewards, TrackingTask, gains_law
+from metropilot.studies.cheng2023.env import TrackingConfig, TrackingRewards, TrackingTask
+from metropilot.studies.cheng2023.law import gains_law
 from metropilot.studies.cheng2023.learning import REWARDS, config
 from metropilot.studies.cheng2023.setting import NAMES, course
 from metropilot.studies.cheng2023.tracking import SCALE, ObservationScale, track_course, tracking_kpis
@@ -80,7 +81,7 @@ def measure(order: Order) -> LiteralRun:
     what = course()
     for k, driver in enumerate(ENERGY_J):
         policies = [result.policy for result in results[k * len(seeds) : (k + 1) * len(seeds)]]
-        tracks = [track_course(what, *policy_control(policy, STATE)) for policy in policies]
+        tracks = [track_course(what, *policy_control(gains_law(scale=STATE), policy)) for policy in policies]
         kpis = [tracking_kpis(what, track) for track in tracks]
         rows += table_1({(driver, 1): kpis}, {driver: "ddpg_pid"})
         kpi, left = "speed left 3 s after the planned end", values(kpis, "end_mps")

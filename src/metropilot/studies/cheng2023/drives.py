@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from metropilot.control import CHENG2023_GAINS, Errors, Gains, incremental_pid
-from metropilot.studies.cheng2023.ddpg_pid import step_ddpg_pid
 from metropilot.studies.cheng2023.fuzzy_pid import ASSUMED_UNIVERSES, Universes, step_fuzzy_pid
+from metropilot.studies.cheng2023.law import PAPER_LAW, TrackingLaw
 from metropilot.studies.cheng2023.neural_pid import (
     TEXTBOOK_RATES,
     LearningRates,
@@ -22,11 +22,11 @@ from metropilot.studies.cheng2023.neural_pid import (
 from metropilot.studies.cheng2023.residual import (
     PlacedGains,
     placed_gains,
+    residual_law,
     step_fed_pid,
-    step_residual_pid,
 )
 from metropilot.studies.cheng2023.setting import KPIS, NAMES, TABLE_1, optimal_kwh
-from metropilot.studies.cheng2023.tracking import SCALE, ObservationScale, TrackingController, TrackingKpis
+from metropilot.studies.cheng2023.tracking import TrackingController, TrackingKpis
 from metropilot.studies.report import ReportRow, make_row
 
 Start = tuple[TrackingController, Any]
@@ -97,15 +97,6 @@ def fed_pid_control(placed: PlacedGains) -> Start:
     return control, NO_ERRORS
 
 
-def residual_control(policy: Callable[[Any], Any], placed: PlacedGains) -> Start:
-    """The same, corrected by a policy."""
-
-    def control(memory: Errors, seen: Any) -> tuple[Any, Errors]:  # noqa: ANN401 (arrays)
-        return step_residual_pid(policy, placed, seen, memory)
-
-    return control, NO_ERRORS
-
-
 def fuzzy_control(gains: Gains, universes: Universes) -> Start:
     """PID with gains changed by fuzzy rules."""
 
@@ -124,11 +115,11 @@ def neural_control(gains: Gains, rates: LearningRates, seed: int) -> Start:
     return control, fresh_network(seed, gains)
 
 
-def policy_control(policy: Callable[[Any], Any], scale: ObservationScale = SCALE) -> Start:
-    """PID with gains from a policy."""
+def policy_control(law: TrackingLaw, policy: Callable[[Any], Any]) -> Start:
+    """A law whose parameters a policy sets."""
 
     def control(memory: Errors, seen: Any) -> tuple[Any, Errors]:  # noqa: ANN401 (arrays)
-        return step_ddpg_pid(policy, seen, memory, scale=scale)
+        return law.drive(policy, seen, memory)
 
     return control, NO_ERRORS
 
@@ -145,7 +136,7 @@ def controllers_to_compare(
         policies: One policy per seed that sets gains.
         corrections: One per seed that corrects the PID beside feed-forward that they were learned with.
     """
-    corrected = placed_gains(TUNED_FED_PID)
+    corrected = residual_law(placed_gains(TUNED_FED_PID))
     by_hand, p, f, n = CHENG2023_GAINS, tuned["pid"], tuned["fuzzy_pid"], tuned["neural_pid"]
     placed = tuned[POSITION_PID]
     universes = Universes(f["error_mps"], f["change_mps"], f["kp_span"], f["ki_span"], f["kd_span"])
@@ -160,8 +151,8 @@ def controllers_to_compare(
         ComparedController("fuzzy_pid tuned", "", lambda _: fuzzy_control(_gains(f), universes)),
         ComparedController("neural_pid", "neural_pid", partial(neural_control, by_hand, TEXTBOOK_RATES)),
         ComparedController("neural_pid tuned", "", partial(neural_control, _gains(n), rates)),
-        ComparedController("ddpg_pid", "ddpg_pid", lambda seed: policy_control(policies[seed])),
-        ComparedController(RESIDUAL, "ddpg_pid", lambda seed: residual_control(corrections[seed], corrected)),
+        ComparedController("ddpg_pid", "ddpg_pid", lambda seed: policy_control(PAPER_LAW, policies[seed])),
+        ComparedController(RESIDUAL, "ddpg_pid", lambda seed: policy_control(corrected, corrections[seed])),
     )
 
 

@@ -2,34 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
 from metropilot._typing import Array, Flag, Float, Index, Key, Scalar
-from metropilot.control import CHENG2023_UPPER, Errors, Gains, incremental_pid
+from metropilot.control import Errors
 from metropilot.drivers import TrackingView
 from metropilot.env import AbstractTask, ActionSpace, Transition
 from metropilot.errors import InputError
 from metropilot.physics import davis_n, effort_at
-from metropilot.studies.cheng2023.residual import (
-    ACTIONS,
-    RESIDUAL_OBSERVATION,
-    PlacedGains,
-    residual_observation,
-    step_corrected_pid,
-)
+from metropilot.studies.cheng2023.law import PAPER_LAW, TrackingLaw
 from metropilot.studies.cheng2023.tracking import (
-    SCALE,
-    ObservationScale,
     ReferenceCourse,
     TrackState,
     advance_tracking,
     compile_course,
     start_compiled,
-    tracking_observation,
     tracking_view,
 )
 from metropilot.units import KMH_PER_MPS
@@ -66,56 +56,6 @@ class TrackingRewards:
         for name in ("speed_scale_mps", "distance_scale_m", "jerk_scale_mps3", "parking_scale_m", "energy_j"):
             if not getattr(self, name) > 0:
                 raise InputError("out of range", field=name, value=getattr(self, name), allowed="> 0")
-
-
-class TrackingLaw(NamedTuple):
-    """Law whose parameters a policy sets at each period.
-
-    Attributes:
-        actions: Numbers of an action.
-        entries: Numbers of an observation.
-        observe: From controller inputs and the errors before to an observation.
-        step: From an action, controller inputs and the errors before to the command and the errors after.
-    """
-
-    actions: int
-    entries: int
-    observe: Callable[[TrackingView, Errors], Array]
-    step: Callable[[Array, TrackingView, Errors], tuple[Array, Errors]]
-
-
-def gains_law(upper: Gains = CHENG2023_UPPER, scale: ObservationScale = SCALE) -> TrackingLaw:
-    """The paper's: the policy sets three gains (Cheng23 eqs. 10, 15 and 16).
-
-    Args:
-        upper: Upper limits of the gains (eq. 10).
-        scale: Scale of the observation.
-    """
-    return TrackingLaw(
-        3,
-        4,
-        lambda seen, _: tracking_observation(seen, scale),
-        lambda action, seen, errors: incremental_pid(
-            seen.command, gains_of(action, upper), seen.error_mps, errors
-        ),
-    )
-
-
-PAPER_LAW = gains_law()
-"""The paper's law with its limits and the scale of this study."""
-
-
-def residual_law(placed: PlacedGains) -> TrackingLaw:
-    """The policy corrects a tuned PID beside feed-forward (:mod:`.residual`).
-
-    Args:
-        placed: Gains that it corrects.
-    """
-
-    def step(action: Array, seen: TrackingView, errors: Errors) -> tuple[Array, Errors]:
-        return step_corrected_pid(action, placed, seen, errors)
-
-    return TrackingLaw(ACTIONS, len(RESIDUAL_OBSERVATION), residual_observation, step)
 
 
 @dataclass(frozen=True, eq=False)
@@ -214,7 +154,7 @@ class TrackingTask(AbstractTask):
     def __init__(self, config: TrackingConfig) -> None:
         self.config = config
         self.action_space = ActionSpace(size=config.law.actions)
-        self.observation_size = config.law.entries
+        self.observation_size = len(config.law.observed)
         self.longest = max(course.periods for course in config.courses)
         import jax
 
@@ -310,11 +250,6 @@ class TrackingTask(AbstractTask):
             terms=terms,
         )
         return state, transition
-
-
-def gains_of(action: Float[Array, "3"], upper: Gains = CHENG2023_UPPER) -> Gains:
-    """Gains of an action of three numbers in [-1, 1] (Cheng23 eq. 10)."""
-    return Gains(*(0.5 * (action[j] + 1.0) * upper[j] for j in range(3)))
 
 
 def _pad(course: ReferenceCourse, periods: int) -> ReferenceCourse:

@@ -8,9 +8,11 @@ from typing import TYPE_CHECKING, Any
 
 from metropilot.control import Errors
 from metropilot.studies.cheng2023.drives import TUNED_FED_PID
-from metropilot.studies.cheng2023.env import TrackingConfig, TrackingRewards, TrackingTask, residual_law
-from metropilot.studies.cheng2023.residual import placed_gains, step_residual_pid
+from metropilot.studies.cheng2023.env import TrackingConfig, TrackingRewards, TrackingTask
+from metropilot.studies.cheng2023.law import PAPER_LAW, TrackingLaw
+from metropilot.studies.cheng2023.residual import placed_gains, residual_law
 from metropilot.studies.cheng2023.setting import course, draw_courses
+from metropilot.studies.cheng2023.tracking import ReferenceCourse
 from metropilot.studies.learning import LearnJob
 
 if TYPE_CHECKING:
@@ -72,11 +74,16 @@ def residual_config() -> DDPGConfig:
     return replace(config(), noise=Schedule(0.2, 0.02, over=0.7), saturation_cost=0.01)
 
 
+def corrections_law() -> TrackingLaw:
+    """Corrections of the tuned PID beside feed-forward."""
+    return residual_law(placed_gains(TUNED_FED_PID))
+
+
 def residual_task() -> TrackingTask:
     """Drawn references, resistances and noise; the policy corrects a tuned PID beside feed-forward."""
-    law = residual_law(placed_gains(TUNED_FED_PID))
+    courses = draw_courses(COURSES, seed=1)
     return TrackingTask(
-        TrackingConfig(draw_courses(COURSES, seed=1), law, rewards=RESIDUAL_REWARDS, noise_mps=NOISE_MPS)
+        TrackingConfig(courses, corrections_law(), rewards=RESIDUAL_REWARDS, noise_mps=NOISE_MPS)
     )
 
 
@@ -87,30 +94,13 @@ def task() -> TrackingTask:
 
 def make_evaluation(made: AbstractTask) -> Callable[[Any, Any], dict[str, Any]]:
     """Return the evaluation of a policy: ``tracking_score`` of the base scenario from standstill."""
-    import jax
-    import jax.numpy as jnp
-
     from metropilot.learn import make_learner
-    from metropilot.policy import act
-    from metropilot.studies.cheng2023.ddpg_pid import step_ddpg_pid
-    from metropilot.studies.cheng2023.tracking import track_compiled, tracking_kpis, tracking_score
 
     if not isinstance(made, TrackingTask):
         raise TypeError("the tracking task is evaluated here")
-    spec, single = make_learner(config(), made).spec, made.course(0)
-
-    def evaluate(params: dict[str, Any], key: Any) -> dict[str, Any]:  # noqa: ANN401 (a JAX key)
-        del key
-
-        def control(memory: Errors, seen: Any) -> tuple[Any, Errors]:  # noqa: ANN401 (arrays)
-            return step_ddpg_pid(lambda observation: act(spec, params, observation), seen, memory)
-
-        start = Errors(jnp.float32(0.0), jnp.float32(0.0))
-        kpis = tracking_kpis(single, track_compiled(single, control, start), jnp)
-        numbers = jax.tree.map(lambda value: jnp.asarray(value, jnp.float32), kpis._asdict())
-        return {"score": tracking_score(kpis), **numbers}
-
-    return evaluate
+    measure = _measure(PAPER_LAW, make_learner(config(), made).spec)
+    single = made.course(0)
+    return lambda params, _: measure(params, single)
 
 
 def make_residual_evaluation(made: AbstractTask) -> Callable[[Any, Any], dict[str, Any]]:
@@ -119,29 +109,33 @@ def make_residual_evaluation(made: AbstractTask) -> Callable[[Any, Any], dict[st
     import jax.numpy as jnp
 
     from metropilot.learn import make_learner
+
+    measure = _measure(corrections_law(), make_learner(residual_config(), made).spec)
+    checked = TrackingTask(TrackingConfig(draw_courses(CHECKED, seed=2))).courses
+
+    def evaluate(params: dict[str, Any], _: Any) -> dict[str, Any]:  # noqa: ANN401 (a JAX key)
+        return jax.tree.map(jnp.mean, jax.vmap(lambda what: measure(params, what))(checked))
+
+    return evaluate
+
+
+def _measure(law: TrackingLaw, spec: Any) -> Callable[[Any, ReferenceCourse], dict[str, Any]]:  # noqa: ANN401 (a policy's form)
+    """Score and KPIs of a policy's parameters on a compiled course."""
+    import jax.numpy as jnp
+
     from metropilot.policy import act
     from metropilot.studies.cheng2023.tracking import track_compiled, tracking_kpis, tracking_score
 
-    spec = make_learner(residual_config(), made).spec
-    placed = placed_gains(TUNED_FED_PID)
-    checked = TrackingTask(TrackingConfig(draw_courses(CHECKED, seed=2)))
-
-    def evaluate(params: dict[str, Any], key: Any) -> dict[str, Any]:  # noqa: ANN401 (a JAX key)
-        del key
-
+    def measure(params: dict[str, Any], what: ReferenceCourse) -> dict[str, Any]:
         def control(memory: Errors, seen: Any) -> tuple[Any, Errors]:  # noqa: ANN401 (arrays)
-            return step_residual_pid(lambda observation: act(spec, params, observation), placed, seen, memory)
+            return law.drive(lambda observation: act(spec, params, observation), seen, memory)
 
-        def one(index: Any) -> dict[str, Any]:  # noqa: ANN401 (a JAX integer)
-            what, start = checked.course(index), Errors(jnp.float32(0.0), jnp.float32(0.0))
-            record = track_compiled(what, control, start)
-            kpis = tracking_kpis(what, record, jnp)
-            return {"score": tracking_score(kpis), **kpis._asdict()}
+        start = Errors(jnp.float32(0.0), jnp.float32(0.0))
+        kpis = tracking_kpis(what, track_compiled(what, control, start), jnp)
+        numbers = {name: jnp.asarray(value, jnp.float32) for name, value in kpis._asdict().items()}
+        return {"score": tracking_score(kpis), **numbers}
 
-        numbers = jax.vmap(one)(jnp.arange(CHECKED))
-        return {name: jnp.mean(jnp.asarray(value, jnp.float32)) for name, value in numbers.items()}
-
-    return evaluate
+    return measure
 
 
 def jobs(seeds: Iterable[int]) -> list[LearnJob]:

@@ -7,7 +7,8 @@ gains by factors and adds a little to the command; with zeros it is that control
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -15,8 +16,11 @@ import numpy as np
 from metropilot._typing import Array, Float, Scalar
 from metropilot.control import CHENG2023_UPPER, Errors, Gains, incremental_pid
 from metropilot.drivers import TrackingView
+from metropilot.studies.cheng2023.law import TrackingLaw
 from metropilot.studies.cheng2023.tracking import array_namespace
 
+CORRECTIONS = Path(__file__).with_name("residual.safetensors")
+"""Policy of the median seed, for the quick budget of the study; it is no driver's."""
 ACTIONS = 5
 """Factors on three gains and on the rate of the position error, and the addition to the command."""
 OCTAVES = 1.0
@@ -31,7 +35,7 @@ SPEED_MPS, ERROR_MPS, DISTANCE_M, CHANGE = 20.0, 0.004, 0.004, 0.02
 """What counts as 1 in the observation: speed, speed error, position error, change of the fed command."""
 MOST = 5.0
 """Size at which every entry of the observation is cut off."""
-RESIDUAL_OBSERVATION = (
+OBSERVED = (
     "speed",
     "command",
     "speed_error",
@@ -113,15 +117,14 @@ def residual_observation(seen: TrackingView, errors: Errors) -> Float[Array, "6"
     return xp.clip(xp.stack([xp.asarray(part, np.float32) for part in parts]), -MOST, MOST)
 
 
-def step_residual_pid(
-    policy: Callable[[Any], Any], placed: PlacedGains, seen: TrackingView, errors: Errors
-) -> tuple[Any, Errors]:
-    """One period: the policy's corrections, then the law.
+def residual_law(placed: PlacedGains) -> TrackingLaw:
+    """The law in which a policy corrects that PID.
 
     Args:
-        policy: From an observation of shape (6,) to five numbers in [-1, 1].
-        placed: Gains that it corrects.
-        seen: Controller inputs.
-        errors: Errors of the two periods before.
+        placed: Gains of the action of zeros.
     """
-    return step_corrected_pid(policy(residual_observation(seen, errors)), placed, seen, errors)
+
+    def step(action: Array, seen: TrackingView, errors: Errors) -> tuple[Any, Errors]:
+        return step_corrected_pid(action, placed, seen, errors)
+
+    return TrackingLaw(OBSERVED, ACTIONS, residual_observation, step)

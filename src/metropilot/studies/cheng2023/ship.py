@@ -20,10 +20,18 @@ from metropilot._provenance import circumstances
 from metropilot.policy import Policy, save_policy, shipped_policy
 from metropilot.railway import load_line, load_trainset
 from metropilot.sim import Disturbance, Run, drive
-from metropilot.studies.cheng2023.ddpg_pid import GAINS_OBSERVATION, DdpgPid, DdpgPidOptions
-from metropilot.studies.cheng2023.drives import TUNED_FED_PID, Start, policy_control, residual_control
-from metropilot.studies.cheng2023.learning import RESIDUAL_REWARDS, REWARDS, SEEDS, jobs, residual_jobs
-from metropilot.studies.cheng2023.residual import RESIDUAL_OBSERVATION, placed_gains
+from metropilot.studies.cheng2023.ddpg_pid import DdpgPid, DdpgPidOptions
+from metropilot.studies.cheng2023.drives import TUNED_FED_PID, policy_control
+from metropilot.studies.cheng2023.law import PAPER_LAW, TrackingLaw
+from metropilot.studies.cheng2023.learning import (
+    RESIDUAL_REWARDS,
+    REWARDS,
+    SEEDS,
+    corrections_law,
+    jobs,
+    residual_jobs,
+)
+from metropilot.studies.cheng2023.residual import CORRECTIONS
 from metropilot.studies.cheng2023.setting import course
 from metropilot.studies.cheng2023.tracking import track_course, tracking_kpis
 from metropilot.studies.learning import SeedResult, learn_seeds
@@ -36,7 +44,7 @@ def count_interventions(policy: Policy) -> int:
     """Count the interventions of protection with a policy as driver of the Yizhuang line."""
     with TemporaryDirectory() as folder:
         place = Path(folder, "policy.safetensors")
-        save_policy(place, policy, {"observed": list(GAINS_OBSERVATION)})
+        save_policy(place, policy, {"observed": list(PAPER_LAW.observed)})
         driver, line, trainset = (
             DdpgPid(DdpgPidOptions(policy=str(place))),
             load_line("yizhuang"),
@@ -61,8 +69,7 @@ def ship(folder: Path, target: Path) -> SeedResult:
     """
     results = learn_seeds(jobs(range(SEEDS)), folder)
     chosen = min(results, key=lambda result: (count_interventions(result.policy), -result.score))
-    said = {"observed": list(GAINS_OBSERVATION), "reference": "s_curve", "rewards": repr(REWARDS)}
-    _write(target, chosen, policy_control(chosen.policy), said)
+    _write(target, chosen, PAPER_LAW, {"reference": "s_curve", "rewards": repr(REWARDS)})
     return chosen
 
 
@@ -75,25 +82,19 @@ def ship_corrections(folder: Path, target: Path) -> SeedResult:
     """
     results = learn_seeds(residual_jobs(range(SEEDS)), folder)
     chosen = sorted(results, key=lambda result: result.score)[len(results) // 2]
-    placed = placed_gains(TUNED_FED_PID)
-    said = {
-        "observed": list(RESIDUAL_OBSERVATION),
-        "reference": "drawn",
-        "rewards": repr(RESIDUAL_REWARDS),
-        "corrects": dict(TUNED_FED_PID),
-    }
-    _write(target, chosen, residual_control(chosen.policy, placed), said)
+    said = {"reference": "drawn", "rewards": repr(RESIDUAL_REWARDS), "corrects": dict(TUNED_FED_PID)}
+    _write(target, chosen, corrections_law(), said)
     return chosen
 
 
-def _write(target: Path, chosen: SeedResult, start: Start, said: Mapping[str, Any]) -> None:
+def _write(target: Path, chosen: SeedResult, law: TrackingLaw, said: Mapping[str, Any]) -> None:
     """Write a policy with what it came of and its KPIs in the base scenario."""
     from metropilot.learn import config_to_mapping
 
-    what, said = course(), dict(said)
-    kpis = tracking_kpis(what, track_course(what, *start))._asdict()
+    what = course()
+    kpis = tracking_kpis(what, track_course(what, *policy_control(law, chosen.policy)))._asdict()
     about = {
-        "observed": said.pop("observed"),
+        "observed": list(law.observed),
         "task": {"name": "cheng2023", **said},
         "algorithm": chosen.job.config.algorithm,
         "config": config_to_mapping(chosen.job.config),
@@ -107,4 +108,4 @@ def _write(target: Path, chosen: SeedResult, start: Start, said: Mapping[str, An
 
 if __name__ == "__main__":
     ship(Path(sys.argv[1]), shipped_policy("ddpg_pid"))
-    ship_corrections(Path(sys.argv[1]), shipped_policy("ddpg_pid_residual"))
+    ship_corrections(Path(sys.argv[1]), CORRECTIONS)

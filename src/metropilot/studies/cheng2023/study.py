@@ -301,10 +301,10 @@ def _load_or_learn(order: Order) -> tuple[Policies, Policies, Mapping[str, Mappi
     if order.budget == "quick":
         from metropilot.drivers import TUNED_PID
         from metropilot.policy import shipped_policy
-        from metropilot.studies.cheng2023.ddpg_pid import load_gains_policy, load_tracking_policy
         from metropilot.studies.cheng2023.fuzzy_pid import TUNED_FUZZY_PID
+        from metropilot.studies.cheng2023.law import PAPER_LAW, load_tracking_policy
         from metropilot.studies.cheng2023.neural_pid import TUNED_NEURAL_PID
-        from metropilot.studies.cheng2023.residual import ACTIONS, RESIDUAL_OBSERVATION
+        from metropilot.studies.cheng2023.residual import CORRECTIONS, placed_gains, residual_law
 
         tuned = {
             "pid": TUNED_PID,
@@ -313,9 +313,9 @@ def _load_or_learn(order: Order) -> tuple[Policies, Policies, Mapping[str, Mappi
             "fuzzy_pid": TUNED_FUZZY_PID,
             "neural_pid": TUNED_NEURAL_PID,
         }
-        place = shipped_policy("ddpg_pid_residual")
-        corrections = load_tracking_policy(place, RESIDUAL_OBSERVATION, ACTIONS)
-        return {0: load_gains_policy(shipped_policy("ddpg_pid"))}, {0: corrections}, tuned
+        corrected = residual_law(placed_gains(TUNED_FED_PID))
+        policies: Policies = {0: load_tracking_policy(shipped_policy("ddpg_pid"), PAPER_LAW)}
+        return policies, {0: load_tracking_policy(CORRECTIONS, corrected)}, tuned
     from metropilot.studies.cheng2023.learning import SEEDS, jobs, residual_jobs
     from metropilot.studies.cheng2023.tuning import TUNABLE, tune_driver
 
