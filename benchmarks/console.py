@@ -124,8 +124,7 @@ def browse(url: str, token: str, project: str) -> dict[str, list[float]]:
         for visit in range(VISITS):
             context = browser.new_context(viewport={"width": 1440, "height": 900})
             page = context.new_page()
-            signs = [{"name": "metropilot_token", "value": token, "url": url}]
-            context.add_cookies(signs)  # type: ignore[arg-type]
+            context.add_cookies([{"name": "metropilot_token", "value": token, "url": url}])
             began = time.perf_counter()
             page.goto(url)
             page.locator('[data-test="depart"]').wait_for()

@@ -46,12 +46,12 @@ def rows(seen):
     return [row for _, kind, data in seen if kind == "rows" for row in data["rows"]]
 
 
-def returned(kind, data):
+def says_returned(kind, data):
     """True if an event says that the driver has the lever."""
     return kind == "event" and "returned to the driver" in data["words"]
 
 
-def reached(metres):
+def watch_for(metres):
     return lambda kind, data: kind == "rows" and any(row[1] > metres for row in data["rows"])
 
 
@@ -62,7 +62,7 @@ def pace(server, live, value):
 
 def test_a_live_run_is_told_news_and_arrives(server):
     live = server.post("/api/live", {**SECTION, "pace": 5}, code=201)["id"]
-    seen = watch(server, live, until=reached(150))
+    seen = watch(server, live, until=watch_for(150))
     pace(server, live, 0)
     at = server.post(f"/api/live/{live}/arrival", {"scheduled_time_s": 125})["at_s"]
     assert 5 < at < 60
@@ -90,7 +90,7 @@ def test_a_live_run_is_told_news_and_arrives(server):
 def test_a_hand_that_lets_go_gives_the_lever_back(server):
     live = server.post("/api/live", {**SECTION, "pace": 1}, code=201)["id"]
     server.post(f"/api/live/{live}/lever", {"share": 1.0})
-    given = watch(server, live, until=returned)
+    given = watch(server, live, until=says_returned)
     assert any(row[5] == 1.0 for row in rows(given))
     taken, back = (data["time_s"] for _, kind, data in given if kind == "event")
     assert back - taken == pytest.approx(3.0, abs=1.0)
@@ -111,7 +111,7 @@ def test_the_lever_has_one_holder(server):
         assert "take_over" in error["allowed"]
     server.post(lever, {"share": -1.0, "holder": "tab-2", "take_over": True})
     assert server.post(lever, {"share": 0.5, "holder": "tab-1"}, code=409)["error"]["value"] == "tab-1"
-    seen = watch(server, live, until=returned)
+    seen = watch(server, live, until=says_returned)
     assert [data["words"] for _, kind, data in seen if kind == "event"] == [
         "the lever is taken by hand by tab-1",
         "the lever is taken over from tab-1 by tab-2",
@@ -136,7 +136,7 @@ def test_a_run_that_cannot_start_has_failed_and_says_why(server):
 
 def test_a_run_that_is_stopped_goes_on_where_it_was(server):
     live = server.post("/api/live", {**SECTION, "pace": 10}, code=201)["id"]
-    watch(server, live, until=reached(100))
+    watch(server, live, until=watch_for(100))
     server.post(f"/api/live/{live}/lever", {"share": -0.2})
     at = server.post(f"/api/jobs/{live}/stop")
     ended = watch(server, live)
@@ -254,9 +254,9 @@ def test_a_convoy_keeps_apart_when_its_head_brakes(server):
 def test_runs_survive_the_server(tmp_path):
     first = Server(tmp_path)
     live = first.post("/api/live", {**SECTION, "pace": 10}, code=201)["id"]
-    watch(first, live, until=reached(100))
+    watch(first, live, until=watch_for(100))
     first.post(f"/api/live/{live}/arrival", {"scheduled_time_s": 120})
-    seen = watch(first, live, until=reached(400))
+    seen = watch(first, live, until=watch_for(400))
     pace(first, live, 1)
     job = first.post("/api/jobs/compare", {**SECTION, "seeds": 50}, code=202)["id"]
     others = [first.post("/api/live", {**SECTION, "pace": 0}, code=201)["id"] for _ in range(4)]

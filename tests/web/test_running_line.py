@@ -67,8 +67,11 @@ def test_what_no_line_can_is_refused(server):
         ({"zones": 90}, "zones"),
         ({"lasts_s": 5}, "lasts_s"),
     ):
-        refusal_of(server.post("/api/running-lines", {**LINE, **change}, code=422), field)
+        error = refusal_of(server.post("/api/running-lines", {**LINE, **change}, code=422), field)
+        assert error["allowed"] or "should be" in error["message"], error
+        assert "\n" not in error["message"]
     job = server.post("/api/live", {"line": "yizhuang", "pace": 0, "time_s": 101}, code=201)["id"]
-    refusal_of(server.get(f"/api/live/{job}/line", code=404), "id")
-    refusal_of(server.post(f"/api/live/{job}/hold", {"station": "RJ"}, code=422), "kind")
+    no_line = refusal_of(server.get(f"/api/live/{job}/line", code=404), "id")
+    assert no_line["value"] == job
+    assert refusal_of(server.post(f"/api/live/{job}/hold", {"station": "RJ"}, code=422), "kind")["message"]
     server.post(f"/api/live/{job}/stop")

@@ -598,11 +598,11 @@ class BranchTracer:
             if plain.__name__ not in SHARED or options:
                 return self.remember(key, found)
 
-            def shared() -> Any:  # noqa: ANN401 (anything)
+            def call_shared() -> Any:  # noqa: ANN401 (anything)
                 answer = self.share(plain, given, lazy=lazy)
                 return found() if answer is None else answer
 
-            return self.remember(key, shared)
+            return self.remember(key, call_shared)
 
         return call
 

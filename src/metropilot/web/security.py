@@ -74,12 +74,12 @@ class Guard:
         if settings.user_header is not None and settings.trusts(_peer(scope)):
             name = headers.get(settings.user_header)
             if name is not None:
-                return self._named(name)
+                return self._find_named(name)
         if not (settings.token or settings.names_users):
             return User()
         return self._of_token(_given_token(headers))
 
-    def _named(self, name: str) -> User | None:
+    def _find_named(self, name: str) -> User | None:
         """User whom a proxy names; where a file lists the users, others read only."""
         if not NAME.fullmatch(name):
             return None

@@ -10,15 +10,12 @@ from typing import Any
 from metropilot._io import fill_folder
 from metropilot.errors import InputError
 from metropilot.operation import (
-    LineOperation,
-    OperationOptions,
     RunningLine,
     SlowSection,
     TrainHold,
     operation_energy,
 )
-from metropilot.railway import load_line, load_trainset
-from metropilot.web.work.plans import numbers, station
+from metropilot.web.work.plans import LineRequest, numbers, station
 
 Event = dict[str, Any]
 ROW_S = 5.0
@@ -26,31 +23,15 @@ ROW_S = 5.0
 DELAYS = "delays.csv"
 
 
-@dataclass(frozen=True)
-class RunningRequest:
+@dataclass(frozen=True, kw_only=True)
+class RunningRequest(LineRequest):
     """A line that runs.
 
     Attributes:
-        line: Id of the catalogue, or path.
-        trainset: The same of the trainset.
-        load: Its load; None: the trainset's.
-        options: Headway, dwells, windows, feeding zones.
         lasts_s: Time after which it ends.
     """
 
-    line: str
-    trainset: str
-    load: str | None
-    options: OperationOptions
     lasts_s: float
-
-    def operation(self) -> LineOperation:
-        """The line in operation.
-
-        Raises:
-            InputError: A name is unknown, or the options do not fit the line.
-        """
-        return LineOperation(load_line(self.line), load_trainset(self.trainset, self.load), self.options)
 
 
 class LineEngine:

@@ -30,8 +30,9 @@ THEME = "metropilot_theme"
 THEMES = {"auto": None, "light": False, "dark": True}
 HEAD = (
     '<link rel="stylesheet" href="/static/console.css">'
-    '<script src="/static/access.js" defer></script><script src="/static/live.js" defer></script>'
-    '<script src="/static/convoy.js" defer></script><script src="/static/line.js" defer></script>'
+    '<script src="/static/access.js" defer></script><script src="/static/stream.js" defer></script>'
+    '<script src="/static/live.js" defer></script><script src="/static/convoy.js" defer></script>'
+    '<script src="/static/line.js" defer></script>'
 )
 UPLOAD_HEADER = """<div class="row items-center no-wrap q-pa-sm q-gutter-sm">
     <q-btn outline no-caps icon="upload_file" label="%s" :disable="props.disable" @click="props.pickFiles" />

@@ -2,54 +2,10 @@
 (() => {
   const KMH = 3.6;
 
-  class Convoy {
-    constructor(root, id, chart) {
-      Object.assign(this, { root, id, chart, kept: [], drawn: 0, waiting: false });
-      this.todo = [];
-      this.source = new EventSource(`/api/live/${id}/stream`);
-      for (const kind of ["place", "scene", "rows", "event", "result", "end"])
-        this.source.addEventListener(kind, (e) => this["on_" + kind](JSON.parse(e.data)));
-      this.source.addEventListener("error", (e) => { if (e.data) this.say("", JSON.parse(e.data).error.message); });
-    }
-
-    close() { this.source.close(); this.todo = []; }
-
-    part(name) { return this.root.querySelector(`[data-mp="${name}"]`); }
-
-    set(name, text, unit) {
-      const part = this.part(name);
-      if (!part) return;
-      part.textContent = text;
-      if (unit) { const small = document.createElement("small"); small.textContent = ` ${unit}`; part.append(small); }
-    }
-
-    say(when, words) {
-      const item = document.createElement("li"), time = document.createElement("b");
-      time.textContent = when;
-      item.append(time, words);
-      this.part("log").prepend(item);
-    }
-
-    // In order, as in live.js.
-    draw(use) {
-      this.todo.push(use);
-      if (this.todo.length === 1) this.drawAll();
-    }
-
-    drawAll() {
-      const el = document.getElementById("c" + this.chart), component = window.getElement && getElement(this.chart);
-      if (!this.todo.length) return;
-      if (!el || !component || !component.Plotly || !el.data) { setTimeout(() => this.drawAll(), 60); return; }
-      for (const use of this.todo.splice(0)) use(component.Plotly, el);
-    }
-
-    // As in live.js.
-    on_place(said) { this.root.dataset.status = "queued"; this.set("status", `waiting: place ${said.place} in the queue; it starts by itself`); }
-
+  class Convoy extends MetropilotStream {
     on_scene(scene) {
       const first = !this.now;
-      this.now = scene;
-      if (this.root.dataset.status === "queued") { this.root.dataset.status = "running"; this.set("status", "under way"); }
+      super.on_scene(scene);
       this.root.dataset.silent = scene.link.silent;
       this.set("link", scene.link.silent ? "silent" : `${scene.link.delay_s} s, ${Math.round(scene.link.loss * 100)} % lost`);
       this.part("link").className = scene.link.silent ? "v mp-fail" : "v";
@@ -69,15 +25,10 @@
       }));
     }
 
-    on_rows(said) {
-      this.kept.push(...said.rows.map((values) => Object.fromEntries(this.now.columns.map((name, k) => [name, values[k]]))));
-      this.root.dataset.behind = said.behind_s;
-      if (!this.waiting) { this.waiting = true; setTimeout(() => { this.waiting = false; this.update(); }, 120); }
-    }
+    on_rows(said) { super.on_rows(said, 120); }
 
-    update() {
-      const last = this.kept[this.kept.length - 1], scene = this.now;
-      if (!last) return;
+    update(last) {
+      const scene = this.now;
       this.root.dataset.time = last.time_s; this.root.dataset.gap = Math.min(...last.gap_m);
       this.set("time", last.time_s.toFixed(1), "s");
       this.set("speed", (last.speed_mps[0] * KMH).toFixed(1), "km/h");
@@ -104,15 +55,9 @@
       });
     }
 
-    on_event(said) { this.say(`${said.time_s.toFixed(1)} s`, said.words); }
-
     on_result(said) { this.root.dispatchEvent(new CustomEvent("mp-result", { detail: said.success, bubbles: true })); }
 
-    on_end(said) {
-      this.source.close();
-      this.root.dataset.status = said.status;
-      this.set("status", { done: "all stopped", stopped: "stopped", failed: `failed: ${said.message}` }[said.status] || said.status);
-    }
+    on_end(said) { super.on_end(said, { done: "all stopped", stopped: "stopped" }); }
   }
 
   let view = null;

@@ -1,54 +1,20 @@
 // A running line in the browser: the train graph grows, each piece in the colour of its train's delay.
 (() => {
   const WINDOW_S = 1800, DRAW_MS = 500, LATE_S = [5, 60];
+  const clock = (s) => `${Math.floor(s / 60)}:${String(Math.round(s % 60)).padStart(2, "0")}`;
   const DELAY = 3, ENERGY = 4, FLOOR = 5, NOW = 6;
 
-  class Line {
-    constructor(root, id, chart) {
-      Object.assign(this, { root, id, chart, kept: [], waiting: false });
-      this.source = new EventSource(`/api/live/${id}/stream`);
-      for (const kind of ["place", "scene", "rows", "event", "result", "end"])
-        this.source.addEventListener(kind, (e) => this["on_" + kind](JSON.parse(e.data)));
-      this.source.addEventListener("error", (e) => { if (e.data) this.say("", JSON.parse(e.data).error.message); });
-    }
-
-    close() { this.source.close(); this.closed = true; }
-
-    part(name) { return this.root.querySelector(`[data-mp="${name}"]`); }
-
-    set(name, text, unit) {
-      const part = this.part(name);
-      if (!part) return;
-      part.textContent = text;
-      if (unit) { const small = document.createElement("small"); small.textContent = ` ${unit}`; part.append(small); }
-    }
-
-    say(when, words) {
-      const item = document.createElement("li"), time = document.createElement("b");
-      time.textContent = when;
-      item.append(time, words);
-      this.part("log").prepend(item);
-    }
-
-    on_place(said) { this.root.dataset.status = "queued"; this.set("status", `waiting: place ${said.place} in the queue; it starts by itself`); }
-
+  class Line extends MetropilotStream {
     on_scene(scene) {
-      this.now = scene;
+      super.on_scene(scene);
       this.root.dataset.status = "running";
       this.set("status", "under way");
       this.set("trains", scene.trains);
     }
 
-    on_rows(said) {
-      this.kept.push(...said.rows.map((values) => Object.fromEntries(this.now.columns.map((name, k) => [name, values[k]]))));
-      this.set("pace", said.pace === 0 ? "waiting" : `${said.pace}×`);
-      if (!this.waiting) { this.waiting = true; setTimeout(() => { this.waiting = false; this.update(); }, DRAW_MS); }
-    }
+    on_rows(said) { super.on_rows(said, DRAW_MS); }
 
-    update() {
-      const last = this.kept[this.kept.length - 1];
-      if (!last || this.closed) return;
-      const clock = (s) => `${Math.floor(s / 60)}:${String(Math.round(s % 60)).padStart(2, "0")}`;
+    update(last) {
       const late = last.delay_s.filter((s) => s > LATE_S[0]), all = late.reduce((a, b) => a + b, 0);
       Object.assign(this.root.dataset, { time: last.time_s, late: late.length, delay: all });
       this.set("time", clock(last.time_s));
@@ -58,12 +24,10 @@
       this.set("gap", last.floor_kwh ? ((last.energy_kwh / last.floor_kwh - 1) * 100).toFixed(2) : "–", "%");
       this.set("waits", last.waits);
       this.set("stops", last.stops);
-      this.draw(last);
+      this.draw((Plotly, el) => this.grow(Plotly, el, last));
     }
 
-    draw(last) {
-      const el = document.getElementById("c" + this.chart), component = window.getElement && getElement(this.chart);
-      if (!el || !component || !component.Plotly || !el.data) { setTimeout(() => this.update(), 100); return; }
+    grow(Plotly, el, last) {
       const from = last.time_s - WINDOW_S, seen = this.kept.filter((row) => row.time_s >= from);
       const paths = [0, 1, 2].map(() => ({ x: [], y: [] })), minutes = seen.map((row) => row.time_s / 60);
       for (let k = 1; k < seen.length; k++) {
@@ -76,24 +40,20 @@
       }
       const rates = (name) => seen.map((row) => row[name]);
       const sums = seen.map((row) => row.delay_s.reduce((a, s) => a + Math.max(s, 0), 0) / 60);
-      component.Plotly.restyle(el, {
+      Plotly.restyle(el, {
         x: [...paths.map((p) => p.x), minutes, minutes, minutes, last.position_m.map(() => last.time_s / 60)],
         y: [...paths.map((p) => p.y), sums, rates("energy_kwh"), rates("floor_kwh"), last.position_m.map((m) => m / 1000)],
       }, [0, 1, 2, DELAY, ENERGY, FLOOR, NOW]);
       const stops = this.now.stops;
-      component.Plotly.relayout(el, { "xaxis.range": [Math.max(from, 0) / 60, Math.max(last.time_s, 600) / 60],
+      Plotly.relayout(el, { "xaxis.range": [Math.max(from, 0) / 60, Math.max(last.time_s, 600) / 60],
         "yaxis.tickvals": stops.map((s) => s.position_m / 1000), "yaxis.ticktext": stops.map((s) => s.code) });
     }
 
-    on_event(said) { this.say(`${Math.floor(said.time_s / 60)}:${String(Math.round(said.time_s % 60)).padStart(2, "0")}`, said.words); }
+    on_event(said) { this.say(clock(said.time_s), said.words); }
 
     on_result(said) { this.root.dispatchEvent(new CustomEvent("mp-result", { detail: said.energy_kwh, bubbles: true })); }
 
-    on_end(said) {
-      this.source.close();
-      this.root.dataset.status = said.status;
-      this.set("status", { done: "at its end", stopped: "stopped; it can be resumed", failed: `failed: ${said.message}` }[said.status] || said.status);
-    }
+    on_end(said) { super.on_end(said, { done: "at its end" }); }
   }
 
   let view = null;

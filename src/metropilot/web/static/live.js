@@ -10,18 +10,10 @@
   // Whose hand is on the lever: this page, for as long as it is open.
   const HOLDER = "tab-" + [...crypto.getRandomValues(new Uint8Array(2))].map((b) => b.toString(16).padStart(2, "0")).join("");
 
-  class View {
+  class View extends MetropilotStream {
     constructor(root, id, chart) {
-      this.root = root; this.id = id; this.chart = chart;
-      this.kept = []; this.drawn = 0; this.over = false; this.waiting = false; this.todo = [];
+      super(root, id, chart);
       this.share = null; this.confirmed = false; this.other = null;
-      this.source = new EventSource(`/api/live/${id}/stream`);
-      for (const kind of ["place", "scene", "rows", "event", "result", "end"])
-        this.source.addEventListener(kind, (e) => this[kind](JSON.parse(e.data)));
-      this.source.addEventListener("error", (e) => {
-        if (e.data) this.say(null, JSON.parse(e.data).error.message);
-        else if (this.source.readyState === EventSource.CLOSED && !this.over) this.set("status", "the server does not answer; reload the page");
-      });
       this.onkey = (e) => this.key(e);
       document.addEventListener("keydown", this.onkey);
       this.onleave = () => { if (this.share !== null && !this.over) this.send({ share: null, holder: HOLDER }, true); };
@@ -30,25 +22,12 @@
     }
 
     close() {
-      this.source.close(); clearInterval(this.timer); this.todo = []; document.removeEventListener("keydown", this.onkey);
-      this.onleave(); window.removeEventListener("pagehide", this.onleave);
+      this.onleave(); clearInterval(this.timer); super.close();
+      document.removeEventListener("keydown", this.onkey); window.removeEventListener("pagehide", this.onleave);
     }
 
-    part(name) { return this.root.querySelector(`[data-mp="${name}"]`); }
-
-    set(name, text, unit) {
-      const part = this.part(name);
-      if (!part) return;
-      part.textContent = text;
-      if (unit) { const small = document.createElement("small"); small.textContent = ` ${unit}`; part.append(small); }
-    }
-
-    // While the server drives as many as it can, a run waits in a queue.
-    place(said) { this.root.dataset.status = "queued"; this.set("status", `waiting: place ${said.place} in the queue; it starts by itself`); }
-
-    scene(scene) {
-      if (this.root.dataset.status === "queued") { this.root.dataset.status = "running"; this.set("status", "under way"); }
-      this.now = scene;
+    on_scene(scene) {
+      super.on_scene(scene);
       this.set("scheduled", scene.scheduled_time_s.toFixed(0), "s");
       const mine = scene.lever !== null && scene.lever.holder === HOLDER;
       this.other = mine ? null : scene.lever;
@@ -80,39 +59,14 @@
       }));
     }
 
-    row(values) { return Object.fromEntries(this.now.columns.map((name, k) => [name, values[k]])); }
-
-    // What is to be drawn is drawn in order, once the picture is there: the emptying first, not over what was drawn.
-    draw(use) {
-      this.todo.push(use);
-      if (this.todo.length === 1) this.drawAll();
-    }
-
-    drawAll() {
-      const el = document.getElementById("c" + this.chart), component = window.getElement && getElement(this.chart);
-      if (!this.todo.length) return;
-      if (!el || !component || !component.Plotly || !el.data) { setTimeout(() => this.drawAll(), 60); return; }
-      for (const use of this.todo.splice(0)) use(component.Plotly, el);
-    }
-
-    end(said) {
-      this.source.close(); this.over = true; this.drop();
-      this.root.dataset.status = said.status;
+    on_end(said) {
       const done = this.outcome === "arrived" ? "arrived at its end" : `ended: ${(this.outcome || "").replaceAll("_", " ")}`;
-      this.set("status", { done, stopped: "stopped; it can be resumed", failed: `failed: ${said.message}` }[said.status] || said.status);
+      this.over = true; this.drop();
+      super.on_end(said, { done });
       this.root.dispatchEvent(new CustomEvent("mp-end", { detail: said.status, bubbles: true }));
     }
 
-    event(said) { this.say(said.time_s, said.words); }
-
-    say(time, words) {
-      const list = this.part("log"), item = document.createElement("li"), when = document.createElement("b");
-      when.textContent = time === null ? "" : `${time.toFixed(1)} s`;
-      item.append(when, words);
-      list.prepend(item);
-    }
-
-    result(said) { this.outcome = said.kpis.outcome; this.root.dispatchEvent(new CustomEvent("mp-result", { detail: said, bubbles: true })); }
+    on_result(said) { this.outcome = said.kpis.outcome; this.root.dispatchEvent(new CustomEvent("mp-result", { detail: said, bubbles: true })); }
 
     take(share, over = false) {
       this.share = Math.round(Math.min(Math.max(share, -1), 1) * 100) / 100;
@@ -136,7 +90,7 @@
       if (answer.ok) { if (share !== null && this.share !== null) this.confirmed = true; return; }
       const held = this.share !== null;
       this.drop();
-      if (held) this.say(null, (await answer.json()).error.message);
+      if (held) this.say("", (await answer.json()).error.message);
     }
 
     shown() {
@@ -158,17 +112,11 @@
       if (does && does() !== false) e.preventDefault();
     }
 
-    // Rows of the stream: kept, shown as numbers, drawn ten times a second at most.
-    rows(said) {
-      this.kept.push(...said.rows.map((values) => this.row(values)));
-      this.root.dataset.behind = said.behind_s;
-      this.set("pace", said.pace === 0 ? "waiting" : `${said.pace}×`);
-      if (!this.waiting) { this.waiting = true; setTimeout(() => { this.waiting = false; this.update(); }, 90); }
-    }
+    // Drawn ten times a second at most.
+    on_rows(said) { super.on_rows(said, 90); }
 
-    update() {
-      const last = this.kept[this.kept.length - 1];
-      if (!last || !this.now) return;
+    update(last) {
+      if (!this.now) return;
       const scene = this.now, best = last.plan_energy_wheel_j;
       this.root.dataset.time = last.time_s; this.root.dataset.position = last.position_m;
       this.set("speed", (last.speed_mps * KMH).toFixed(1), "km/h");

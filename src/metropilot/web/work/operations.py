@@ -31,7 +31,7 @@ from metropilot.operation import (
 from metropilot.railway import Feeding, Line, ServiceDay, load_day, load_feeding, load_line, load_trainset
 from metropilot.web.store import JobStore
 from metropilot.web.work.drives import folder_of
-from metropilot.web.work.plans import numbers, station
+from metropilot.web.work.plans import LineRequest, numbers, station
 
 PLANNED = 2
 """Operations whose plans a worker keeps: a headway after another asks for the same ones."""
@@ -40,25 +40,17 @@ POINTS = 12
 USES = {1: "draws", 0: "stands", -1: "returns"}
 
 
-@dataclass(frozen=True)
-class OperationRequest:
-    """A line in operation.
+@dataclass(frozen=True, kw_only=True)
+class OperationRequest(LineRequest):
+    """A line in operation, to be computed.
 
     Attributes:
-        line: Id of the catalogue, or path.
-        trainset: The same of the trainset.
-        load: Its load; None: the trainset's.
-        options: Headway, dwells, windows, feeding zones.
         optimise: Search dwells and running times too.
         seed: Seed of the search.
         day: Working day instead of the headway.
         feeding: DC network.
     """
 
-    line: str
-    trainset: str
-    load: str | None
-    options: OperationOptions
     optimise: bool = False
     seed: int = 0
     day: str | None = None
@@ -92,7 +84,8 @@ def line_job(root: str, job: str, request: OperationRequest) -> dict[str, Any]:
     searching = "searching" if request.optimise else "choosing"
     store.update(job, status="running", progress=0.05, words="planning the trips")
     neutral = replace(request.options, headway_s=OperationOptions.headway_s)
-    planned, plans, floors = _plan(request.line, request.trainset, request.load, neutral, request.optimise)
+    names = {name: getattr(request, name) for name in ("line", "trainset", "load")}
+    planned, plans, floors = _plan(LineRequest(**names, options=neutral), request.optimise)
     operation = planned.with_headway(headway_s)
     search = {"searched": request.optimise, "seed": request.seed, "plans": plans}
     store.update(job, progress=0.4, words=f"{searching} the timetable")
@@ -117,10 +110,10 @@ def line_job(root: str, job: str, request: OperationRequest) -> dict[str, Any]:
 
 @lru_cache(maxsize=PLANNED)
 def _plan(
-    line: str, trainset: str, load: str | None, options: OperationOptions, windows: bool
+    request: LineRequest, windows: bool
 ) -> tuple[LineOperation, Mapping[str, Sequence[Profiles]], TripFloors]:
     """Operation with the plans and floors of its trips; no headway changes these."""
-    operation = LineOperation(load_line(line), load_trainset(trainset, load), options)
+    operation = request.operation()
     return operation, plan_trips(operation, windows=windows), TripFloors(operation)
 
 

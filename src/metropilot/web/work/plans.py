@@ -7,6 +7,7 @@ import os
 import signal
 from collections.abc import Iterable
 from contextlib import suppress
+from dataclasses import dataclass
 from itertools import pairwise
 from multiprocessing import parent_process
 from multiprocessing.connection import wait
@@ -19,6 +20,7 @@ import numpy as np
 from metropilot._processes import ONE_THREAD
 from metropilot.errors import Infeasible, InputError
 from metropilot.evaluate import POLICY, RunSpec, traction_work_j
+from metropilot.operation import LineOperation, OperationOptions
 from metropilot.physics import (
     brake_available_n,
     davis_n,
@@ -39,6 +41,31 @@ from metropilot.planning import (
 )
 from metropilot.policy import load_driving_policy
 from metropilot.railway import Line, Section, Station, Steps, Trainset, import_file, load_line, load_trainset
+
+
+@dataclass(frozen=True, kw_only=True)
+class LineRequest:
+    """A line with its trainset and options of its operation.
+
+    Attributes:
+        line: Id of the catalogue, or path.
+        trainset: The same of the trainset.
+        load: Its load; None: the trainset's.
+        options: Headway, dwells, windows, feeding zones.
+    """
+
+    line: str
+    trainset: str
+    load: str | None
+    options: OperationOptions
+
+    def operation(self) -> LineOperation:
+        """The line in operation.
+
+        Raises:
+            InputError: A name is unknown, or the options do not fit the line.
+        """
+        return LineOperation(load_line(self.line), load_trainset(self.trainset, self.load), self.options)
 
 
 def begin(worker_bytes: int | None, nice: int) -> None:

@@ -1,0 +1,70 @@
+// What runs on the server, in the browser: numbers, news and a picture that follow its stream of events.
+(() => {
+  window.MetropilotStream = class {
+    constructor(root, id, chart) {
+      Object.assign(this, { root, id, chart, kept: [], drawn: 0, todo: [], waiting: false, over: false });
+      this.source = new EventSource(`/api/live/${id}/stream`);
+      for (const kind of ["place", "scene", "rows", "event", "result", "end"])
+        this.source.addEventListener(kind, (e) => this["on_" + kind](JSON.parse(e.data)));
+      this.source.addEventListener("error", (e) => {
+        if (e.data) this.say("", JSON.parse(e.data).error.message);
+        else if (this.source.readyState === EventSource.CLOSED && !this.over) this.set("status", "the server does not answer; reload the page");
+      });
+    }
+
+    close() { this.source.close(); this.over = this.closed = true; this.todo = []; }
+
+    part(name) { return this.root.querySelector(`[data-mp="${name}"]`); }
+
+    set(name, text, unit) {
+      const part = this.part(name);
+      if (!part) return;
+      part.textContent = text;
+      if (unit) { const small = document.createElement("small"); small.textContent = ` ${unit}`; part.append(small); }
+    }
+
+    say(when, words) {
+      const item = document.createElement("li"), time = document.createElement("b");
+      time.textContent = when;
+      item.append(time, words);
+      this.part("log").prepend(item);
+    }
+
+    // What is to be drawn is drawn in order, once the picture is there: the emptying first, not over what was drawn.
+    draw(use) {
+      this.todo.push(use);
+      if (this.todo.length === 1) this.drawAll();
+    }
+
+    drawAll() {
+      const el = document.getElementById("c" + this.chart), component = window.getElement && getElement(this.chart);
+      if (!this.todo.length) return;
+      if (!el || !component || !component.Plotly || !el.data) { setTimeout(() => this.drawAll(), 60); return; }
+      for (const use of this.todo.splice(0)) use(component.Plotly, el);
+    }
+
+    // While the server drives as many as it can, a run waits in a queue.
+    on_place(said) { this.root.dataset.status = "queued"; this.set("status", `waiting: place ${said.place} in the queue; it starts by itself`); }
+
+    on_scene(scene) {
+      if (this.root.dataset.status === "queued") { this.root.dataset.status = "running"; this.set("status", "under way"); }
+      this.now = scene;
+    }
+
+    // Rows are kept, and shown and drawn as often as `every` says.
+    on_rows(said, every) {
+      this.kept.push(...said.rows.map((values) => Object.fromEntries(this.now.columns.map((name, k) => [name, values[k]]))));
+      this.root.dataset.behind = said.behind_s;
+      this.set("pace", said.pace === 0 ? "waiting" : `${said.pace}×`);
+      if (!this.waiting) { this.waiting = true; setTimeout(() => { this.waiting = false; if (this.kept.length && !this.closed) this.update(this.kept[this.kept.length - 1]); }, every); }
+    }
+
+    on_event(said) { this.say(`${said.time_s.toFixed(1)} s`, said.words); }
+
+    on_end(said, words) {
+      this.source.close(); this.over = true;
+      this.root.dataset.status = said.status;
+      this.set("status", { stopped: "stopped; it can be resumed", failed: `failed: ${said.message}`, ...words }[said.status] || said.status);
+    }
+  };
+})();
