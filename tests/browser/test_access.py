@@ -179,6 +179,8 @@ def test_runs_are_sorted_chosen_and_kept_by_keyboard(visit, made):
     for _ in range(2):
         walk_to(page, "Select (?!all)")
         page.keyboard.press("Space")
+        # the server draws the table anew; the box keeps the focus
+        page.wait_for_function("document.activeElement.ariaChecked === 'true'", timeout=PATIENCE_MS)
     expect(page.locator('[data-test="chosen"]')).to_have_text("2 chosen")
     page.locator('[data-test="delete"]').focus()
     page.keyboard.press("Enter")

@@ -112,8 +112,6 @@ def test_a_live_run_through_nginx(browser, proxy, width):
     page.on("pageerror", lambda error: wrong.append(str(error)))
     page.goto(url)
     expect(page.locator('[data-test="user"]')).to_have_text("anna", timeout=PATIENCE_MS)
-    # a press before the page is connected is lost
-    page.wait_for_function("window.socket?.connected", timeout=PATIENCE_MS)
     page.locator('[data-test="depart"]').click()
     live = page.locator('[data-test="live"]')
     expect(live).to_have_attribute("data-status", "running", timeout=PATIENCE_MS)

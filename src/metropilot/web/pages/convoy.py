@@ -39,6 +39,8 @@ from metropilot.web.schemas.requests import ConvoyIn, NewLink
 from metropilot.web.service import Service
 from metropilot.web.store import JobRow
 
+SLOW = 1.35
+"""Least running time that is proposed, over the minimum: followers need room for their regulation."""
 PACES = {1: "real time", 2: "2 ×", 5: "5 ×", 10: "10 ×"}
 GUARDS = {
     "coupled": "coupled: brakes controlled",
@@ -66,7 +68,7 @@ class ConvoyPage:
         self.link_to = run
         self.run: str | None = None
         self.kept: dict[str, Any] = {}
-        self.form = SectionForm(service, self.update_section)
+        self.form = SectionForm(service, self.update_section, reserve=SLOW)
         self.world = DisturbanceForm()
 
     def build(self) -> None:
@@ -182,9 +184,6 @@ class ConvoyPage:
     async def update_section(self) -> None:
         """Draw the section, with room for the convoy behind its origin."""
         if self.form.section is not None and self.live() is None:
-            if not self.form.linked:
-                slow = 1.35 * self.form.section["minimum_running_time_s"]
-                self.form.slider.value = round(max(self.form.time_s, slow))
             self.draw_section()
 
     def draw_section(self) -> None:
@@ -203,6 +202,7 @@ class ConvoyPage:
     async def depart(self) -> None:
         """Start a convoy and watch it."""
         with self.form.problem.show_errors():
+            await self.form.chosen()
             body = validate(
                 ConvoyIn,
                 {

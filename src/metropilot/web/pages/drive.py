@@ -294,8 +294,7 @@ class DrivePage:
     async def depart(self) -> None:
         """Start a live run and watch it."""
         with self.departure.show_errors():
-            if self.form.section is None:
-                raise Refused("choose a section first", 422, field="origin")
+            section = await self.form.chosen()
             values = {**self.form.kept, **self.form.values(), **self.disturbances.values()}
             values |= {"driver": self.driver.value, "pace": float(self.pace.value)}
             values |= {"options": self.driver_options.values()}
@@ -305,7 +304,7 @@ class DrivePage:
                 await before.stop()
             session = await self.service.go_live(body)
             self.run = session.id
-            self.draw_section(self.form.section, body.trainset)
+            self.draw_section(section, body.trainset)
             self.attach(session)
 
     async def resume(self) -> None:

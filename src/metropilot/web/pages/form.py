@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import math
 from collections.abc import Awaitable, Callable, Sequence
 from typing import Any, TypeVar
@@ -13,6 +14,7 @@ from metropilot.errors import InputError, MetropilotError
 from metropilot.evaluate import POLICY, parse_driver, run_fields
 from metropilot.units import KMH_PER_MPS, Unit
 from metropilot.web import catalogue
+from metropilot.web.errors import Refused
 from metropilot.web.pages.frame import Problem, number
 from metropilot.web.pages.strip import names
 from metropilot.web.schemas.requests import DriveIn, NewRestriction, PlanIn, RestrictionIn, spec_of
@@ -178,6 +180,7 @@ class SectionForm:
         service: Service of the server.
         changed: Called when section, trainset or bounds change.
         moved: Called when only the running time changes.
+        reserve: Least running time that is proposed, over the minimum; 1: that of the timetable.
 
     Attributes:
         problem: Place of its errors.
@@ -188,9 +191,13 @@ class SectionForm:
 
     problem: Problem
 
-    def __init__(self, service: Service, changed: Changed, moved: Changed | None = None) -> None:
+    def __init__(
+        self, service: Service, changed: Changed, moved: Changed | None = None, *, reserve: float = 1.0
+    ) -> None:
         self.service = service
-        self.changed, self.moved = changed, moved
+        self.changed, self.moved, self.reserve = changed, moved, reserve
+        self._loading, self._loaded = 0, asyncio.Event()
+        self._refusal: MetropilotError | None = None
         self.section: dict[str, Any] | None = None
         self.line = catalogue.line_out(service, "yizhuang")
         self.linked = False
@@ -306,19 +313,44 @@ class SectionForm:
         finally:
             self._filling = False
 
+    async def chosen(self) -> dict[str, Any]:
+        """Wait until the section of the fields is there: a press of a button may come before it.
+
+        Raises:
+            MetropilotError: The fields are those of no section.
+        """
+        await self._loaded.wait()
+        if self.section is None:
+            raise self._refusal or Refused("choose a section first", 422, field="origin")
+        return self.section
+
     async def load(self) -> None:
         """Request the section and bound the slider by its minimum running time."""
+        self._loaded.clear()
+        self._loading += 1
+        try:
+            found = await self._request()
+        finally:
+            self._loading -= 1
+            if not self._loading:
+                self._loaded.set()
+        if found:
+            await self.changed()
+
+    async def _request(self) -> bool:
         self.problem.clear()
         body = {**self.values(), "time_s": None}
         try:
             self.section = await self.service.section(PlanIn.model_validate(body))
         except MetropilotError as error:
-            self.section = None
+            self.section, self._refusal = None, error
             self.problem.show(error)
-            return
+            return False
         least = math.ceil(self.section["minimum_running_time_s"])
         most = math.ceil(SLOWEST * least)
-        planned = self._restored_s or self.section["planned_time_s"] or math.ceil(1.12 * least)
+        slow = round(self.reserve * self.section["minimum_running_time_s"])
+        proposed = max(self.section["planned_time_s"] or math.ceil(1.12 * least), slow)
+        planned = self._restored_s or proposed
         least, most = min(least, math.floor(planned)), max(most, math.ceil(planned))
         self._restored_s = None
         self._filling = True
@@ -326,7 +358,7 @@ class SectionForm:
         self.slider.value = min(max(planned, least), most)
         self._filling = False
         self._say_time()
-        await self.changed()
+        return True
 
     def _say_time(self) -> None:
         if self.section is None:

@@ -4,25 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from nicegui import ui
 
-HEADING = """<q-th :props="props" :aria-sort="!props.col.__thClass.includes(' sorted') ? null
-    : props.col.__thClass.includes('sort-desc') ? 'descending' : 'ascending'">
-    <button v-if="props.col.sortable" type="button" class="mp-sort"
-    :aria-label="`Sort by ${props.col.label}`">{{ props.col.label }}</button>
-    <template v-else>{{ props.col.label }}</template></q-th>"""
-CHOICE = """<q-checkbox dense v-model="props.selected"
-    :aria-label="`Select ${props.row.words || props.row.id}`" />"""
-EVERY_CHOICE = """<q-checkbox dense v-model="props.selected" aria-label="Select all" />"""
-LINK = """<q-td :props="props"><a v-if="props.row.link" :href="props.row.link"
-    class="mp-cell-link">{{ props.value }}</a>
-    <template v-else>{{ props.value }}</template></q-td>"""
-STYLED = """<q-td :props="props"><span :class="props.row.style">{{ props.value }}</span></q-td>"""
-ACTION = """<q-btn v-if="props.row.actions.includes('%s')" flat dense no-caps size="sm" label="%s"
-    :aria-label="`%s ${props.row.words}`" @click="$parent.$emit('%s', props.row.id)" />"""
-FIXED = "value => value === null || value === undefined ? '–' : value.toFixed({}).replace('-', '−')"
+CELLS = Path(__file__).parent.parent / "static" / "datatable.js"
+
+
+class CellTable(ui.table, component=CELLS):
+    """Table whose cells stay what they are, with their focus, when rows change."""
 
 
 @dataclass(frozen=True)
@@ -56,8 +47,9 @@ class DataColumn:
             "align": "left" if self.digits is None else "right",
             "classes": narrow,
             "headerClasses": narrow,
+            "kind": self.kind,
         }
-        return found if self.digits is None else found | {":format": FIXED.format(self.digits)}
+        return found if self.digits is None else found | {"digits": self.digits}
 
 
 class DataTable:
@@ -102,8 +94,9 @@ class DataTable:
                 each.props("outlined dense options-dense").classes("mp-filter")
         columns = [column.as_dict() for column in self.columns]
         if self.actions:
-            columns.append({"name": "actions", "label": "Actions", "field": "actions", "align": "left"})
-        self.table = ui.table(
+            last = {"name": "actions", "label": "Actions", "field": "words", "align": "left"}
+            columns.append(last | {"kind": "actions"})
+        self.table = CellTable(
             rows=[],
             columns=columns,
             row_key="id",
@@ -117,17 +110,7 @@ class DataTable:
         )
         self.table.props(f'dense flat hide-pagination wrap-cells aria-label="{self.name}"')
         self.table.classes("mp-data").bind_filter_from(self.search, "value", lambda text: text or "")
-        self.table.add_slot("header-cell", HEADING)
-        self.table.add_slot("body-selection", CHOICE)
-        self.table.add_slot("header-selection", EVERY_CHOICE)
-        for column in self.columns:
-            if column.kind:
-                self.table.add_slot(f"body-cell-{column.name}", LINK if column.kind == "link" else STYLED)
-        if self.actions:
-            buttons = "".join(ACTION % (name, name, name, name.lower()) for name in self.actions)
-            self.table.add_slot("body-cell-actions", f'<q-td :props="props" class="mp-do">{buttons}</q-td>')
-        for name, act in self.actions.items():
-            self.table.on(name.lower(), lambda event, act=act: act(event.args))
+        self.table.on("act", lambda event: self.actions[event.args["name"]](event.args["id"]))
 
     def fill(self, rows: list[dict[str, Any]]) -> None:
         """Show rows; those chosen stay so while they are there."""
