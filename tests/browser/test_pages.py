@@ -243,3 +243,27 @@ def test_the_first_page_is_there_in_two_seconds(visit):
         spent.append(page.evaluate("performance.getEntriesByType('paint').at(-1).startTime") / 1000)
     busy = max(1.0, os.getloadavg()[0] / (os.cpu_count() or 1))
     assert min(spent) < 2.0 * busy, spent
+
+
+PLACES = """window.places = new Set();
+const look = () => {
+    const found = document.querySelector('[data-test="%s"]');
+    if (found) window.places.add(Math.round(found.getBoundingClientRect().y));
+    requestAnimationFrame(look);
+};
+look();"""
+
+
+@pytest.mark.parametrize("width", [1440, 390])
+@pytest.mark.parametrize(
+    ("path", "button"), [("/", "depart"), ("/convoy", "depart"), ("/compare", "compare")]
+)
+def test_a_button_does_not_move_while_its_page_loads(browser, server, path, button, width):
+    context = browser.new_context(viewport={"width": width, "height": 900})
+    page = context.new_page()
+    page.add_init_script(PLACES % button)
+    page.goto(server.url + path)
+    expect(page.get_by_text("minimum 83.3 s")).to_be_visible(timeout=PATIENCE_MS)
+    # a press whose button moves away before the release is lost
+    assert len(page.evaluate("[...window.places]")) == 1
+    context.close()

@@ -228,7 +228,7 @@ class SectionForm:
             self.load_in = ui.select(aboard, value=next(iter(aboard)), label="Load", on_change=self._refresh)
         for element in (self.line_in, self.origin_in, self.destination_in, self.trainset_in, self.load_in):
             element.props("outlined dense options-dense")
-        self.time_words = ui.label("Running time").classes("mp-soft")
+        self.time_words = ui.label("Running time").classes("mp-soft mp-two")
         self.slider = ui.slider(min=60, max=160, step=1, value=101, on_change=self._time_moved)
         self.slider.props('label aria-label="Scheduled running time in seconds" data-test="time"')
         self.restrictions.build()
