@@ -208,9 +208,10 @@ def largest_admissible_command(
         return share, after
     least, _ = decide(-1.0)
     if look is not None and not admits(-1.0, least):
+        look, share = None, min(share, 0.0)
+        after, passes = decide(share)
         if passes:
             return share, after
-        look = None
     return _largest_between(decide, admits, share, least)
 
 
