@@ -112,6 +112,17 @@ def test_traction_that_a_lag_keeps_up_is_foreseen(trainset, actuation, place, ra
     assert abs(done.running_time_s - time_s) <= 1.0
 
 
+@pytest.mark.parametrize("driver", ["optimal", "generalist", "eitoe"])
+@pytest.mark.parametrize("actuation", [(0.2, 0.0), (0.25, 0.3), (0.2, 0.6)])
+def test_traction_on_its_way_is_not_added_to_on_the_edge_of_protection(driver, actuation):
+    section = load_line("yizhuang-ttobench").section("CQ", "YZHC")
+    train = replace(load_trainset("ch_stadler_flirt_tpf"), actuation=Actuation(*actuation, np.inf))
+    time_s = 1.2 * minimum_running_time(section, train)
+    result = drive(Run(section, train, time_s, dt=0.1), DRIVERS.make(driver))
+    assert result.interventions == 0  # the emergency brake at 77 km/h, 16 to 32 s late
+    assert result.running_time_s < time_s + 6.0  # hardly more than protection leaves
+
+
 @pytest.mark.parametrize("driver", ["optimal", "eitoe"])
 @pytest.mark.parametrize(
     ("trainset", "actuation", "place", "ratio"),

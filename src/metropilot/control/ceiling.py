@@ -184,7 +184,7 @@ def largest_admissible_command(
     """Largest command up to ``share`` that protection admits, and the memory of protection after it.
 
     A late command counts as long as it is on its way. One that is admitted now but would not let full braking
-    pass on that way is too large, unless full braking now would not help either.
+    pass on that way is too large. Where full braking now would not help either, there is no traction.
 
     Args:
         guard: Protection of the section.
