@@ -7,7 +7,7 @@ import pytest
 
 from metropilot.drivers import DRIVERS
 from metropilot.evaluate import driving_limits, kpis_of, optimum_of
-from metropilot.planning import PlanOptions, optimal_plan
+from metropilot.planning import PlanOptions, minimum_running_time, optimal_plan
 from metropilot.railway import Actuation, load_line, load_trainset
 from metropilot.sim import Disturbance, Outcome, Run, drive
 
@@ -76,3 +76,15 @@ def test_what_did_not_arrive_has_no_attainable_optimum():
     kpis = kpis_of(lost, optimum_of(lost))
     names = ("attainable_energy_kwh", "attainable_bound_kwh", "trainset_gap_percent", "driver_gap_percent")
     assert [getattr(kpis, name) for name in names] == [None] * 4
+
+
+@pytest.mark.parametrize(("trainset", "least_ratio"), [("ch_stadler_flirt_tpf", 1.1), ("dkz32", 1.0)])
+def test_no_drive_under_protection_is_faster_than_its_least_time(trainset, least_ratio):
+    # the guaranteed brake of a FLIRT is weaker than its service brake: no driver keeps its minimum time
+    section, train = load_line("yizhuang-ttobench").section("CQ", "YZHC"), load_trainset(trainset)
+    time_s = 1.02 * minimum_running_time(section, train)
+    for name in ("optimal", "flat_out"):
+        driven = drive(Run(section, train, time_s), DRIVERS.make(name))
+        kpis = kpis_of(driven, optimum_of(driven))
+        assert least_ratio * kpis.minimum_running_time_s < kpis.protected_running_time_s < kpis.running_time_s
+    assert kpis.protected_running_time_s > 0.92 * kpis.running_time_s

@@ -50,6 +50,7 @@ from .optimum import Optimum as Optimum
 from .optimum import attainable_of as attainable_of
 from .optimum import driving_limits as driving_limits
 from .optimum import optimum_of as optimum_of
+from .optimum import protected_running_time as protected_running_time
 from .run_spec import POLICY as POLICY
 from .run_spec import RunSpec as RunSpec
 from .run_spec import in_run_toml as in_run_toml

@@ -104,6 +104,8 @@ class Kpis:
         scheduled_time_s: Scheduled running time as it stood at the end.
         time_error_s: Running time minus scheduled time; positive is late.
         minimum_running_time_s: Flat-out running time under the same limits.
+        protected_running_time_s: The same under protection's permitted speed, with the deceleration that it
+            leaves: no drive under protection takes less.
         stopping_error_m: Final position of the head minus the stop; positive is beyond it (Huang25 eq. 12).
         energy_wheel_kwh: Mechanical traction energy at the wheel.
         energy_regenerated_kwh: Energy the line took back.
@@ -146,6 +148,7 @@ class Kpis:
     scheduled_time_s: float
     time_error_s: float
     minimum_running_time_s: float | None
+    protected_running_time_s: float | None
     stopping_error_m: float
     energy_wheel_kwh: float
     energy_regenerated_kwh: float
@@ -220,6 +223,7 @@ def kpis_of(drive: Drive, optimum: Optimum | None, objective: Objective = "wheel
         scheduled_time_s=drive.scheduled_time_s,
         time_error_s=late,
         minimum_running_time_s=None if optimum is None else optimum.minimum_time_s,
+        protected_running_time_s=None if optimum is None else optimum.protected_time_s,
         stopping_error_m=float(t.position_m[-1]) - drive.section.length_m,
         energy_wheel_kwh=float(t.energy_wheel_j[-1]) / J_PER_KWH,
         energy_regenerated_kwh=drive.recovered_j / J_PER_KWH,

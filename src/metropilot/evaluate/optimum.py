@@ -16,6 +16,7 @@ from metropilot.planning import (
     Plan,
     PlanOptions,
     attainable_plan,
+    fastest_time,
     minimum_running_time,
     optimal_plan,
 )
@@ -36,11 +37,14 @@ class Optimum(NamedTuple):
         minimum_time_s: Running time of the flat-out run under the same limits.
         attainable: The plan that knows jerk limit, dead time, lag and permitted speed; None if the run did
             not arrive, or the actuation does not allow its running time.
+        protected_time_s: Least running time under protection (:func:`protected_running_time`); None where
+            it was not asked for.
     """
 
     plan: Plan
     minimum_time_s: float
     attainable: Attainable | None = None
+    protected_time_s: float | None = None
 
 
 class DrivingLimits(NamedTuple):
@@ -75,6 +79,24 @@ def driving_limits(run: Run, section: Section) -> DrivingLimits:
     return DrivingLimits(at, permitted_speed(guard, at), float(guard.rates.speed_error_mps), usable, run.dt)
 
 
+def protected_running_time(drive: Drive) -> float:
+    """Least running time under the permitted speed, with the deceleration that protection leaves, s.
+
+    No drive under protection takes less; dead time, lag and jerk limit are not in it.
+
+    Args:
+        drive: The drive, for its true plant and its section with every restriction announced.
+
+    Raises:
+        Infeasible: The trainset cannot cover the section.
+    """
+    limits, vehicle = driving_limits(drive.run, drive.section), vehicle_arrays(drive.trainset)
+    most = min(float(vehicle.max_deceleration_mps2), limits.deceleration_mps2)
+    options = PlanOptions(cap_m=limits.position_m, cap_mps=limits.permitted_mps)
+    vehicle = vehicle._replace(max_deceleration_mps2=np.float64(most))
+    return fastest_time(vehicle, track_arrays(drive.section, drive.trainset), options)
+
+
 def optimum_of(drive: Drive, objective: Objective = "wheel") -> Optimum | None:
     """The optimal plan for the running time the drive achieved, under the same limits.
 
@@ -96,11 +118,12 @@ def optimum_of(drive: Drive, objective: Objective = "wheel") -> Optimum | None:
         plan = optimal_plan(drive.section, drive.trainset, wanted, options)
     except Infeasible:
         return None
+    least = protected_running_time(drive)
     if not arrived:
-        return Optimum(plan, fastest)
+        return Optimum(plan, fastest, protected_time_s=least)
     limits = driving_limits(drive.run, drive.section)
     found = attainable_of(drive.section, drive.trainset, wanted, limits, plan, objective)
-    return Optimum(plan, fastest, found)
+    return Optimum(plan, fastest, found, least)
 
 
 def attainable_of(
