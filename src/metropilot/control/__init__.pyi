@@ -1,6 +1,7 @@
 from .adaptation import Adaptation as Adaptation
 from .adaptation import adapt_trainset as adapt_trainset
 from .adaptation import adapt_vehicle as adapt_vehicle
+from .adaptation import departs_from as departs_from
 from .ceiling import Ceiling as Ceiling
 from .ceiling import ceiling_acceleration as ceiling_acceleration
 from .ceiling import ceiling_of as ceiling_of

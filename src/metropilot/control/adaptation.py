@@ -17,6 +17,22 @@ class Adaptation(NamedTuple):
     resistance: float = 1.0
 
 
+LEARNED_BAND = Adaptation(0.02, 0.04, 0.03)
+"""Departures from the plant that is reckoned with that call for reckoning anew."""
+
+
+def departs_from(found: Adaptation, assumed: Adaptation, share: float = 1.0) -> bool:
+    """Tell if an observed plant is another one than is reckoned with.
+
+    Args:
+        found: The plant as observed.
+        assumed: The plant that is reckoned with.
+        share: Of ``LEARNED_BAND``, beyond which it is another one.
+    """
+    pairs = zip(found, assumed, LEARNED_BAND, strict=True)
+    return any(abs(now - before) > share * most for now, before, most in pairs)
+
+
 def adapt_vehicle(vehicle: Vehicle, adapted: Adaptation) -> Vehicle:
     """Scale effort and resistance of a plant by the observed factors."""
     up, down, drag = adapted

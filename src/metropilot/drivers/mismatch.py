@@ -31,6 +31,7 @@ from metropilot.control import (
     build_up,
     ceiling_of,
     curve_for,
+    departs_from,
     initial_estimate,
     largest_admissible_command,
     look_along,
@@ -195,8 +196,7 @@ def is_outdated(monitor: PlantMonitor, time_s: float) -> bool:
     """Tell if the tables in force are of another plant than the one estimated since."""
     if monitor.protection is None or time_s - monitor.adapted_at_s < PATIENCE_S:
         return False
-    off = np.abs(np.subtract(monitor.adaptation, monitor.adapted))
-    return bool((off > (LEAST, LEAST, LEAST_RESISTANCE)).any())
+    return departs_from(monitor.adaptation, monitor.adapted)
 
 
 def arrival_reserve(monitor: PlantMonitor, planned_mps2: float, own: StopOptions, speed_mps: float) -> float:

@@ -23,6 +23,7 @@ from metropilot.control import (
     adapt_vehicle,
     ceiling_of,
     curve_for,
+    departs_from,
     initial_estimate,
     largest_admissible_command,
     look_ahead,
@@ -55,9 +56,6 @@ from metropilot.planning import (
 from metropilot.protection import Memory, at_start
 from metropilot.railway import Section, Trainset
 from metropilot.sim import AbstractDriver, Observation, Run
-
-LEARNED_BAND = (0.02, 0.04, 0.03)
-"""Departures of traction, brake and resistance from those planned with that call for a new plan."""
 
 
 @dataclass(frozen=True)
@@ -331,13 +329,13 @@ class Optimal(AbstractDriver):
         early_s = memory.scheduled_s - options.reserve_s - ends_s
         late = observation.time_s - memory.clock_s - plan_time(plan, estimate.position_m)
         off = estimate.speed_mps - plan_speed(plan, estimate.position_m)
-        learned = np.abs(np.subtract(self._adaptation(estimate), memory.adapted))
+        learned = departs_from(self._adaptation(estimate), memory.adapted, DUE_SHARE if due else 1.0)
         pulse = acts or (late > 0.0 and not powers_ahead(memory))
         return (
             abs(late) > (options.late_time_band_s if pulse else options.time_band_s)
             or abs(off) > options.speed_band_mps
             or (acts and early_s > options.late_time_band_s)
-            or bool((learned > (DUE_SHARE if due else 1.0) * np.array(LEARNED_BAND)).any())
+            or learned
         )
 
     def _replan(self, memory: FollowingMemory, observation: Observation) -> FollowingMemory:
