@@ -17,11 +17,13 @@ from metropilot.operation import OperationOptions, SlowSection, TrainHold
 from metropilot.railway import Restriction
 from metropilot.sim import Disturbance, TimetableUpdate
 from metropilot.units import KINDS
+from metropilot.web.pages import form
 from metropilot.web.pages.compare import outcome
 from metropilot.web.pages.convoy import ConvoyPage, member_outcome
 from metropilot.web.pages.drive import DrivePage
 from metropilot.web.pages.form import describe_range, validate
 from metropilot.web.pages.frame import frame
+from metropilot.web.pages.numbers import NumberField
 from metropilot.web.pages.operation import OperationPage
 from metropilot.web.pages.plots import compare_figure, convoy_figure, finished_convoy_figure, front_figure
 from metropilot.web.pages.runs import RunList
@@ -65,12 +67,12 @@ def test_a_form_shows_what_is_declared(monkeypatch, tmp_path):
     """Every field has the label, unit, step, range and default of the declaration that also checks it."""
     shown = {}
 
-    class Recorded(ui.number):
+    class Recorded(NumberField):
         def __init__(self, label, **more):
             super().__init__(label=label, **more)
             assert shown.setdefault(label, self) is self
 
-    monkeypatch.setattr(ui, "number", Recorded)
+    monkeypatch.setattr(form, "NumberField", Recorded)
 
     async def build():
         core.loop = asyncio.get_running_loop()

@@ -18,6 +18,7 @@ from metropilot.sim import Disturbance
 from metropilot.web import catalogue, evidence
 from metropilot.web.pages.form import validate
 from metropilot.web.pages.frame import ActionButton, Problem, card, frame, links, prop_of
+from metropilot.web.pages.numbers import NumberField, parse_number, split_list
 from metropilot.web.pages.strip import names
 from metropilot.web.pages.tables import DataColumn, DataTable
 from metropilot.web.schemas.requests import CampaignIn
@@ -277,7 +278,7 @@ class CampaignForm:
                 value="1.2",
                 on_change=self.write,
             )
-            self.seeds = ui.number(_("Seeds"), value=1, step=1, on_change=self.write)
+            self.seeds = NumberField(_("Seeds"), value=1, step=1, on_change=self.write)
             for field in (self.drivers, self.origin, self.destination, self.trainset):
                 field.on_value_change(self.write)
             with ui.expansion(_("Disturbance")).props("dense").classes("mp-soft") as fold:
@@ -328,8 +329,8 @@ class CampaignForm:
         section = self.line.value
         if self.origin.value and self.destination.value:
             section += f" {self.origin.value} {self.destination.value}"
-        loads = [word.strip() for word in str(self.loads.value or "all").split(",") if word.strip()]
-        times = [word.strip() for word in str(self.times.value or "planned").split(",") if word.strip()]
+        loads = split_list(str(self.loads.value or "all"))
+        times = split_list(str(self.times.value or "planned"))
         lines = [
             f"name = {json.dumps(self.name.value or '')}",
             "",
@@ -364,8 +365,8 @@ class CampaignForm:
 def _number(text: str) -> str:
     """A number as TOML has it; anything else as text."""
     try:
-        return repr(float(text))
-    except ValueError:
+        return repr(parse_number(text))
+    except InputError:
         return json.dumps(text)
 
 

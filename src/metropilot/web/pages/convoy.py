@@ -205,7 +205,7 @@ class ConvoyPage:
         if self.form.section is None:
             return
         length = catalogue.trainset_out(self.service, self.form.trainset_in.value)["length_m"]
-        count, gap = int(self.count.value or 2), float(self.gap.value or 0.0)
+        count, gap = int(self.count.number or 2), self.gap.number or 0.0
         self.strip.content = section_strip(self.form.section, 0.0, count * (length + gap))
 
     def live(self) -> Any:  # noqa: ANN401 (a session or None)

@@ -10,6 +10,7 @@ from nicegui import events, ui
 
 from metropilot.errors import InputError
 from metropilot.web.pages.frame import Problem, allowed_words, card, prop_of
+from metropilot.web.pages.numbers import parse_number, split_list
 from metropilot.web.words.language import ENGLISH, N_, _, present_language
 from metropilot.web.words.said import retell
 
@@ -120,12 +121,16 @@ STATION = ("code", "name", "position", "pinyin", "local_name")
 PIECE = ("from", "constant", "linear", "quadratic", "cubic", "power", "cap")
 UNITS_OF = {"mass": "loads", "from": "speed", "constant": "force", "cap": "force"}
 """Key of the units table under which the unit of a column stands, where it is not its own name."""
+TEXTS = ("code", "name", "pinyin", "local_name", "load")
+"""Columns of texts, which may look like numbers."""
 UNITLESS = ("code", "name", "pinyin", "local_name", "load", "linear", "quadratic", "cubic", "vehicles")
 
 
 TYPED = "(e) => emit(e.target.value)"
 PASTED = """(e) => { const text = e.clipboardData.getData('text/plain');
     if (/[\\t\\n]/.test(text)) { e.preventDefault(); emit(text); } }"""
+MARKED = frozenset(".,，．。eE")
+"""Marks of a number that is written as one with decimals."""
 LONGEST_PASTE = 2000
 """Rows of a paste that are taken."""
 
@@ -160,15 +165,11 @@ def show_name(key: str, other: str | None = None) -> str:
 def parse(text: str) -> Any:  # noqa: ANN401 (a value of TOML)
     """Value of a cell or field: a number where it reads as one, else text; None if it is empty."""
     text = text.strip()
-    plain = text.replace("−", "-").replace(" ", "")
-    if not text:
-        return None
-    for kind in (int, float):
-        try:
-            return kind(plain)
-        except ValueError:
-            continue
-    return text
+    try:
+        found = parse_number(text)
+    except InputError:
+        return text  # the loader says what is wrong with it, and where
+    return found if found is None or not found.is_integer() or set(text) & MARKED else int(found)
 
 
 def format_value(value: object) -> str:
@@ -301,7 +302,11 @@ class RowTable:
 
     def type(self, k: int, j: int, event: events.GenericEventArguments) -> None:
         """Take what stands in a cell."""
-        self.edit(lambda: self.grid.rows[k].__setitem__(j, parse(str(event.args))))
+        self.edit(lambda: self.grid.rows[k].__setitem__(j, self.value(j, str(event.args))))
+
+    def value(self, j: int, text: str) -> Any:  # noqa: ANN401 (a value of TOML)
+        """Value of a cell of a column; None if it is empty."""
+        return text.strip() or None if self.grid.columns[j] in TEXTS else parse(text)
 
     def add(self, k: int) -> None:
         """Add a copy of a row after it."""
@@ -323,7 +328,7 @@ class RowTable:
                 if k + down == len(rows):
                     rows.append([None] * width)
                 for right, cell in enumerate(line[: width - j]):
-                    rows[k + down][j + right] = parse(cell)
+                    rows[k + down][j + right] = self.value(j + right, cell)
 
         self.edit(act)
         self.fill()
@@ -417,7 +422,7 @@ class DocumentForm:
                         del self.document[name]
                     return
                 if was_list:
-                    into[key] = [parse(part) for part in given.split(",") if part.strip()]
+                    into[key] = [parse(part) for part in split_list(given)]
                 else:
                     into[key] = given if text else parse(given)
                 if unit and "unit" not in into:

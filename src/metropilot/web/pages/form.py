@@ -16,6 +16,7 @@ from metropilot.units import KMH_PER_MPS, Unit
 from metropilot.web import catalogue
 from metropilot.web.errors import Refused
 from metropilot.web.pages.frame import Problem, number, prop_of
+from metropilot.web.pages.numbers import NumberField
 from metropilot.web.pages.strip import names
 from metropilot.web.schemas.requests import DriveIn, NewRestriction, PlanIn, RestrictionIn, spec_of
 from metropilot.web.service import Service
@@ -51,7 +52,7 @@ def describe_range(kind: type[BaseModel], name: str, scale: float = 1.0) -> str:
     return _("{least} or more", least=least) if "minimum" in told else least
 
 
-def number_field(kind: type[BaseModel], name: str, unit: Unit | None = None, **more: Any) -> ui.number:  # noqa: ANN401
+def number_field(kind: type[BaseModel], name: str, unit: Unit | None = None, **more: Any) -> NumberField:  # noqa: ANN401
     """Place a number field that shows its range; a value out of range is refused, not clipped.
 
     Label, unit, step and first value are those of the declaration, where nothing else is given.
@@ -71,7 +72,7 @@ def number_field(kind: type[BaseModel], name: str, unit: Unit | None = None, **m
         "value": None if field.is_required() else field.get_default(),
         "step": (unit.from_si(spec.step) if unit else spec.step) or None,
     }
-    made = ui.number(**declared | more)
+    made = NumberField(**declared | more)
     return made.props("outlined dense").props(prop_of("hint", describe_range(kind, name, scale)))
 
 
@@ -94,6 +95,8 @@ def validate(kind: type[Body], values: dict[str, Any], **scales: float) -> Body:
         refused = first.get("ctx", {}).get("error")
         if isinstance(refused, InputError) and name not in scales:
             raise refused from None
+        if first["type"] == "finite_number":
+            raise InputError("not a number", field=name) from None
         bounded = isinstance(refused, InputError) or first["type"].startswith(("greater", "less"))
         if len(first["loc"]) == 1 and bounded:
             scale = scales.get(name, 1.0)
@@ -111,7 +114,7 @@ class RestrictionForm:
 
     def __init__(self, changed: Callable[[], Any]) -> None:
         self.changed = changed
-        self.rows: list[dict[str, ui.number]] = []
+        self.rows: list[dict[str, NumberField]] = []
 
     def build(self) -> None:
         """Place the rows in a closed expansion."""
@@ -123,13 +126,13 @@ class RestrictionForm:
 
     def add(self) -> Any:  # noqa: ANN401 (a page's answer)
         """Add a restriction behind the last one."""
-        begin = max((row["to_m"].value or 0.0 for row in self.rows), default=400.0)
+        begin = max((row["to_m"].number or 0.0 for row in self.rows), default=400.0)
         self.place_row({"from_m": begin + 100.0, "to_m": begin + 200.0, "limit_mps": 40 / KMH_PER_MPS})
         return self.changed()
 
     def place_row(self, body: dict[str, Any]) -> None:
         """Place the fields of a restriction."""
-        row: dict[str, ui.number] = {}
+        row: dict[str, NumberField] = {}
         with self.place, ui.element("div").classes("mp-row items-center") as shown:
             for name in ("from_m", "to_m", "limit_mps"):
                 unit = spec_of(NewRestriction, name).shown_unit
@@ -147,7 +150,7 @@ class RestrictionForm:
             remove.props("flat dense round").props(prop_of("aria-label", _("Remove this restriction")))
         self.rows.append(row)
 
-    def remove(self, row: dict[str, ui.number], shown: ui.element) -> Any:  # noqa: ANN401 (a page's answer)
+    def remove(self, row: dict[str, NumberField], shown: ui.element) -> Any:  # noqa: ANN401 (a page's answer)
         """Remove a restriction."""
         self.rows.remove(row)
         shown.delete()
@@ -348,7 +351,7 @@ class SectionForm:
         self.problem.clear()
         body = {**self.values(), "time_s": None}
         try:
-            self.section = await self.service.section(PlanIn.model_validate(body))
+            self.section = await self.service.section(validate(PlanIn, body))
         except MetropilotError as error:
             self.section, self._refusal = None, error
             self.problem.show(error)
@@ -457,7 +460,7 @@ class FoldedNumbers:
 
     def build(self, problem: Problem, changed: Callable[[], Any] | None = None) -> None:
         """Place the fields."""
-        self.inputs: dict[str, ui.number] = {}
+        self.inputs: dict[str, NumberField] = {}
         self.fold = ui.expansion(self.title).props("dense").classes("mp-soft")
         with self.fold, ui.element("div").classes("mp-stack") as self.stack:
             for name in self.fields:
@@ -583,7 +586,7 @@ class DriverOptions:
         if isinstance(value, bool):
             return ui.checkbox(label, value=value)
         if isinstance(value, int | float):
-            return ui.number(label, value=value).props("outlined dense")
+            return NumberField(label, value=value).props("outlined dense")
         return ui.input(label, value=str(value or "")).props("outlined dense")
 
     def values(self) -> dict[str, Any]:

@@ -206,9 +206,9 @@ class OperationPage:
 
     def type_headway(self) -> None:
         """Move the slider to the headway of the field."""
-        if self.headway.value is not None:
+        if self.headway.number is not None:
             self.filling = True
-            self.slider.value = min(max(self.headway.value, SHORTEST_S), LONGEST_S)
+            self.slider.value = min(max(self.headway.number, SHORTEST_S), LONGEST_S)
             self.filling = False
             self.show()
 
@@ -316,7 +316,7 @@ class OperationPage:
     def show(self) -> None:
         """Show the result of the headway or day of the fields."""
         day = bool(self.fields["day"].value)
-        at = 0 if day else round(self.headway.value or 0)
+        at = 0 if day else round(self.headway.number or 0)
         if not day:
             self.draw_curve(float(at))
         job, found = self.found.get(at, ("", None))

@@ -89,13 +89,13 @@ def catalogue(language: str) -> library.NullTranslations:
     return library.translation(DOMAIN, FOLDER, [language])
 
 
-def gettext(message: str, **values: object) -> str:
+def gettext(message: str, /, **values: object) -> str:
     """Translate a text; values take the place of the names in its braces."""
     found = catalogue(present_language()).gettext(message) if message else ""
     return found.format(**values) if values else found
 
 
-def ngettext(one: str, many: str, count: int, **values: object) -> str:
+def ngettext(one: str, many: str, count: int, /, **values: object) -> str:
     """Translate a text about one or many; ``{count}`` stands for how many."""
     return catalogue(present_language()).ngettext(one, many, count).format(count=count, **values)
 

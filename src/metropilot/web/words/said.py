@@ -169,6 +169,8 @@ WORDS = (
     N_("the process of the run ended before the run did, most likely of too little memory"),
     # refusals that the pages show beside their fields
     N_("out of range"),
+    N_("not a number"),
+    N_("thousands or decimals"),
     N_("no such job"),
     N_("no such run"),
     N_("no such live run"),
@@ -309,6 +311,7 @@ SENTENCES = (
     N_("the job is a {kind}, no line in operation"),
     N_("the job is a {kind}"),
     N_("{name} reads only"),
+    N_("{first} or {second}"),
     N_("took longer than {time} s; use a smaller request"),
 )
 JOINTS = (N_("; "), N_(": "), N_(", "), " · ", " × ", N_(" and "))
