@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from typing import Any
 
@@ -183,7 +183,7 @@ def drive_figure(driven: dict[str, Any]) -> Figure:
     return _fill(run_figure(), values)
 
 
-def _fill(made: Figure, values: dict[int, tuple[Sequence[float], Sequence[float]]]) -> Figure:
+def _fill(made: Figure, values: Mapping[int, tuple[Sequence[Any], Sequence[Any]]]) -> Figure:
     """Fill traces of a figure with curves, by number."""
     for index, (x, y) in values.items():
         made["data"][index]["x"], made["data"][index]["y"] = list(x), list(y)
@@ -585,6 +585,38 @@ def running_figure() -> Figure:
         yaxis3=axis(_("energy (kWh)"), domain=[0.0, 0.17], rangemode="tozero"),
         hovermode=False,
     )
+
+
+LATE_S = (5.0, 60.0)
+"""Delays above which a path of a running line has another colour; line.js has them, too."""
+
+
+def finished_line_figure(graph: dict[str, Any]) -> Figure:
+    """Figure of a running line at its end, as the browser had drawn it.
+
+    Args:
+        graph: Values of :class:`metropilot.web.schemas.responses.RunningGraphOut`.
+    """
+    made = running_figure()
+    minutes = [t / 60 for t in graph["time_s"]]
+    paths: list[tuple[list[float | None], list[float | None]]] = [
+        ([], []) for _late in range(len(LATE_S) + 1)
+    ]
+    for k, (at, late) in enumerate(zip(graph["position_m"], graph["delay_s"], strict=True)):
+        for before, now, delay_s in zip(graph["position_m"][k - 1] if k else (), at, late, strict=False):
+            x, y = paths[sum(delay_s > bound for bound in LATE_S)]
+            x += [minutes[k - 1], minutes[k], None]
+            y += [before / 1000, now / 1000, None]
+    sums = [sum(max(s, 0.0) for s in row) / 60 for row in graph["delay_s"]]
+    last = [m / 1000 for m in graph["position_m"][-1]] if minutes else []
+    drawn = [(minutes, sums), (minutes, graph["energy_kwh"]), (minutes, graph["floor_kwh"])]
+    _fill(made, dict(enumerate([*paths, *drawn, ([minutes[-1]] * len(last) if minutes else [], last)])))
+    stops = graph["stops"]
+    made["layout"]["yaxis"] |= {
+        "tickvals": [s["position_m"] / 1000 for s in stops],
+        "ticktext": [s["code"] for s in stops],
+    }
+    return made
 
 
 def headways_figure(found: dict[int, dict[str, Any]], headway_s: float) -> Figure:

@@ -14,7 +14,7 @@ from metropilot.web.live.line import DELAYS
 from metropilot.web.live.session import Session
 from metropilot.web.pages.form import names, number_field, validate
 from metropilot.web.pages.frame import ActionButton, Problem, for_users, links, number, prop_of, reads
-from metropilot.web.pages.plots import running_figure
+from metropilot.web.pages.plots import finished_line_figure, running_figure
 from metropilot.web.schemas.requests import NewHold, NewSlowSection, RunningLineIn
 from metropilot.web.service import RESUMABLE, Service
 from metropilot.web.store import JobRow
@@ -128,6 +128,8 @@ class RunningCard:
             self.attach(row.id)
         elif (found := self.service.store.result(row.id)) is not None:
             self.show_summary(row.id, found)
+            if found.get("graph") is not None:
+                self.plot.update_figure(finished_line_figure(found["graph"]))
         self.resume_button.set_visibility(row.status in RESUMABLE)
         if row.error is not None:
             self.problem.show(error_of(row.error))
