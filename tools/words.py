@@ -8,7 +8,6 @@ wait for a translation, in ``src/metropilot/web/words/zh/LC_MESSAGES/metropilot.
 """
 
 import sys
-from collections.abc import Iterator
 from datetime import UTC, datetime
 from io import BytesIO
 from pathlib import Path
@@ -17,47 +16,35 @@ from babel.messages import Catalog
 from babel.messages.extract import extract_from_dir
 from babel.messages.mofile import write_mo
 from babel.messages.pofile import read_po, write_po
-from pydantic import BaseModel
 
-from metropilot._schema import field_specs
-from metropilot.drivers import DRIVERS
-from metropilot.evaluate import run_fields
-from metropilot.learn import RECIPES
-from metropilot.sim import Disturbance
-from metropilot.studies import STUDIES
-from metropilot.web.schemas import requests
-from metropilot.web.words.language import DOMAIN, ENGLISH, FOLDER, LANGUAGES
+from metropilot.web import LANGUAGES, declared_texts
 
 ROOT = Path(__file__).resolve().parent.parent
 SOURCES = ROOT / "src" / "metropilot" / "web"
+FOLDER = SOURCES / "words"
+DOMAIN, ENGLISH = "metropilot", "en"
 KEYWORDS = {"_": None, "N_": None, "gettext": None, "ngettext": (1, 2)}
 DECLARED = "declared"
+AUTHORS = "The metropilot authors"
+HEADER = """\
+# Texts of the console: written by `make words`, which keeps the translations that are filled in here.
+#"""
 WRITTEN = datetime(2026, 11, 25, tzinfo=UTC)
 """Date in the header: a real one would change the file at every call."""
 
 
-def declared() -> Iterator[str]:
-    """Yield the texts that the library declares and the pages show."""
-    for kind in vars(requests).values():
-        if isinstance(kind, type) and issubclass(kind, BaseModel):
-            yield from (requests.spec_of(kind, name).label for name in kind.model_fields)
-    yield from (spec.label for spec in field_specs(Disturbance).values())
-    yield run_fields()["ideal"].help.rstrip(".")
-    for registry in (DRIVERS, RECIPES, STUDIES):
-        yield from (row.summary for row in registry.rows().values())
-
-
 def gather(language: str) -> Catalog:
     """Gather every text, without translations."""
-    made = Catalog(language, domain=DOMAIN, project=DOMAIN, version="0", fuzzy=False)
+    known = {"domain": DOMAIN, "project": DOMAIN, "version": "0", "fuzzy": False}
+    known |= {"header_comment": HEADER, "last_translator": AUTHORS, "language_team": AUTHORS}
+    made = Catalog(language, msgid_bugs_address=AUTHORS, **known)
     made.creation_date = made.revision_date = WRITTEN
     found = extract_from_dir(SOURCES, [("**.py", "python")], keywords=KEYWORDS)
     for name, _line, message, _comments, _context in found:
         if message:
             made.add(message, locations=[((SOURCES / name).relative_to(ROOT).as_posix(), 0)])
-    for message in declared():
-        if message:
-            made.add(message, locations=[(DECLARED, 0)])
+    for message in declared_texts():
+        made.add(message, locations=[(DECLARED, 0)])
     return made
 
 

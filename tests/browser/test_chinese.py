@@ -24,7 +24,8 @@ TEXTS = """() => {
 UNITS = "permil MN kWh km cm mm kN kW MW Wh min kg MB ms MPa Hz UTC id"
 NAMES = """metropilot TOML JSON CSV SVG ZIP DuckDB TTOBench safetensors KPI ATP AW WebAssembly Davis Esc PID
     PPO DDPG DQN SAC NAF EITOE EITOP STON STOD ITOR Huang Lu Cheng Chen Zhou Yin et al Lillicrap Haarnoja Gu
-    English all planned policy PATH RUN set Python docs md write campaign robustness"""
+    English all planned policy PATH RUN set Python docs md write campaign robustness
+    python jax jaxlib numpy AMD EPYC budget paper as printed reproduce"""
 """Names, and words that are typed as they stand."""
 FILES = r"\S+\.(csv|json|svg|png|toml|zip|parquet|safetensors)\b"
 KEPT = re.compile(rf"{FILES}|\b\S*_\S*\b|\w+-\d\S*|/api/\S*|\b[0-9a-f]{{9}}\b")
@@ -82,6 +83,7 @@ PAGES = {
     "line": ("/line?job={line}", "[data-test=words]", None),
     "convoy": ("/convoy", "[data-test=depart]", None),
     "learn": ("/learn", "[data-test=learn]", None),
+    "study": ("/learn?study=lu2023", "[data-test=verdict]", None),
     "lines": ("/lines", "[data-test=line] svg", None),
     "fit": ("/fit", "[data-test=fit]", None),
     "edit-line": ("/edit?line=yizhuang", ".mp-grid", None),
@@ -90,11 +92,12 @@ PAGES = {
     "campaigns": ("/campaigns?campaign=robustness", ".mp-data tbody tr", None),
 }
 WRITTEN = {
+    "study": '[aria-label="发布的数据行"] tbody',
     "lines": "[data-test=line] .mp-card:nth-child(n+3)",
     "edit-line": "[data-field$=source]",
     "edit-trainset": "[data-field$=source]",
 }
-"""Notes and sources of a file, which are shown as it has them."""
+"""Notes and sources of a file, and rows of a study, which are shown as it has them."""
 
 
 @pytest.mark.parametrize("name", PAGES)

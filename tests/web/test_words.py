@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 from starlette.datastructures import Headers
 
+from metropilot.studies import STUDIES, published_study
 from metropilot.web.words.browser import SCRIPTS, words_script
 from metropilot.web.words.language import ENGLISH, LANGUAGES, answer_in, gettext, language_of, ngettext
 from metropilot.web.words.said import SENTENCES, WORDS, retell
@@ -110,6 +111,15 @@ def test_what_the_library_says_is_told_in_the_language():
         assert retell("Sand and Sons") == "Sand and Sons"
         assert retell("my own name (v2)") == "my own name (v2)"
     assert gettext("Depart") == "Depart"
+
+
+@pytest.mark.parametrize("study", STUDIES.ids())
+def test_claims_and_captions_of_studies_are_told_in_the_language(study):
+    found = published_study(study)
+    texts = [found.title, found.summary, *(row["claim"] for row in found.verdicts)]
+    with answer_in("zh"):
+        for text in (*texts, *(figure.caption for figure in found.figures)):
+            assert not re.search("[a-z]{3,} [a-z]{2,}", retell(text)), f"add it to words/studies.py: {text}"
 
 
 def test_pages_are_answered_in_the_language(server):

@@ -329,13 +329,15 @@ class ExportForm:
 
 def published_page(found: PublishedStudy) -> None:
     """Show the published page of a study: verdicts, rows, figures."""
-    with card(found.title, retell(found.written)):
+    with card(retell(found.title), retell(found.written)):
         if found.verdicts:
             ui.label(retell(found.summary)).classes("mp-soft").props('data-test="verdict"')
             rows = []
             for row in found.verdicts:
                 style = VERDICTS.get(row["verdict"], "")
-                words = [row[name] for name in ("claim", "unit", "published", "ours", "interval", "rival")]
+                words = [
+                    retell(row[name]) for name in ("claim", "unit", "published", "ours", "interval", "rival")
+                ]
                 rows.append((*words, (retell(row["verdict"]), style), retell(row["why"])))
             columns = (
                 _("claim of the paper"),
@@ -352,10 +354,10 @@ def published_page(found: PublishedStudy) -> None:
     if found.figures:
         with card(_("Figures")):
             for figure in found.figures:
-                ui.label(figure.caption).classes("mp-soft")
+                ui.label(retell(figure.caption)).classes("mp-soft")
                 picture = ui.element("img").classes("mp-picture")
                 picture.props["src"] = f"/api/studies/{found.id}/figures/{figure.name}"
-                picture.props["alt"] = figure.caption
+                picture.props["alt"] = retell(figure.caption)
 
 
 def study_table(rows: list[dict[str, Any]]) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from functools import cache
 
+from metropilot.web.words import studies
 from metropilot.web.words.language import ENGLISH, N_, gettext, present_language
 
 WORDS = (
@@ -359,7 +360,7 @@ AND = JOINTS[-1]
 def _patterns() -> tuple[tuple[str, re.Pattern[str]], ...]:
     """Sentences with the expressions that find them."""
     found = []
-    for message in SENTENCES:
+    for message in (*SENTENCES, *studies.SENTENCES):
         parts = re.split(r"\{(\w+)\}", message)
         for k in range(1, len(parts), 2):
             parts[k] = f"(?P<{parts[k]}>{NUMBER if parts[k] in NUMBERS else '.+?'})"
