@@ -283,6 +283,10 @@ SENTENCES = (
     N_("convoy of {count}"),
     N_("logs: {count}"),
     # what is published
+    N_(
+        "Written by {command}: {count} seeds, {minutes} minutes (without learning runs of earlier "
+        "calls). {how}."
+    ),
     N_("Written by {command}: {how}."),
     N_("{rows} rows, {seconds} s in the last call, {processor} s of processor time"),
     N_("{count} cores"),
@@ -292,7 +296,6 @@ SENTENCES = (
     N_("commit: {commit}"),
     N_("versions: {versions}"),
     N_("machine: {machine}"),
-    N_("{count} seeds, {minutes} minutes (without learning runs of earlier calls)"),
     N_(
         "{verdicts}. Learning {adds}: beside the strongest simple rival it is better in {better}, worse in "
         "{worse}, and the same, not distinguishable or not tested in {same} of {claims} claims."
