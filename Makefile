@@ -23,7 +23,7 @@ QUICK ?= -m "not slow"
 SECTION := yizhuang RJ WYJ --time 101
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test test-all test-web wheel-check serve check lint types layers docs bench constraints api client clean
+.PHONY: help setup demo test test-all test-web wheel-check serve check lint types layers docs bench constraints api client words clean
 
 help:  ## list the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
@@ -94,6 +94,9 @@ api: $(STAMP)  ## write docs/api.md anew from the packages' public doors
 
 client: $(STAMP)  ## write the typed client of the HTTP API in examples/client anew
 	$(BIN)/python tools/http_client.py
+
+words: $(STAMP)  ## gather the texts of the console into its catalogue, and compile it
+	$(BIN)/python tools/words.py
 
 clean:  ## remove what the targets made, .venv included
 	rm -rf $(VENV) site demo build dist .pytest_cache .ruff_cache .hypothesis .import_linter_cache

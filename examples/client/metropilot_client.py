@@ -575,6 +575,13 @@ class FrontOut(TypedDict):
     second_w: list[float]
 
 
+class GraphStopOut(TypedDict):
+    """A stop of a train graph."""
+
+    code: str
+    position_m: float
+
+
 class Health(TypedDict):
     """State of the server."""
 
@@ -1015,6 +1022,19 @@ class RunOut(TypedDict):
     score: float | None
 
 
+class RunningGraphOut(TypedDict):
+    """Train graph of the last half hour of a running line: a row of positions and delays for each
+    time.
+    """
+
+    stops: list[GraphStopOut]
+    time_s: list[float]
+    position_m: list[list[float]]
+    delay_s: list[list[float]]
+    energy_kwh: list[float]
+    floor_kwh: list[float]
+
+
 class RunningLineIn(TypedDict):
     """A line that runs live, all trains at once, and its pace; it ends after ``lasts_s``."""
 
@@ -1042,6 +1062,7 @@ class RunningLineOut(TypedDict):
 
     ``waits`` departures waited for the train ahead, ``stops`` trains were stopped on the way behind it;
     ``recovered_s``: when every train was on time again after the last event, at ``disturbed_s``.
+    ``graph`` is null of one that an earlier version drove.
     """
 
     time_s: float
@@ -1056,6 +1077,7 @@ class RunningLineOut(TypedDict):
     disturbed_s: float | None
     recovered_s: float | None
     outcome: str
+    graph: NotRequired[RunningGraphOut | None]
 
 
 class SavedOut(TypedDict):

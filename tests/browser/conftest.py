@@ -64,11 +64,13 @@ def visit(browser, server):
     """Open a page in a fresh profile; at the end nothing was asked from elsewhere and nothing went wrong."""
     contexts, watched = [], []
 
-    def open_page(path, *, width=1280, height=900, scheme="light", expected=()):
+    def open_page(path, *, width=1280, height=900, scheme="light", expected=(), language=None):
         context = browser.new_context(
             viewport={"width": width, "height": height}, color_scheme=scheme, accept_downloads=True
         )
         contexts.append(context)
+        if language is not None:
+            context.add_cookies([{"name": "metropilot_language", "value": language, "url": server.url}])
         page = context.new_page()
         page.set_default_timeout(PATIENCE_MS)
         watched.append((Elsewhere(page, server.url), expected))

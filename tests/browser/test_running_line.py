@@ -4,6 +4,7 @@ import re
 
 import pytest
 from playwright.sync_api import expect
+from tests.web.program import Server
 
 PATIENCE_MS = 90_000
 
@@ -49,3 +50,24 @@ def test_a_delay_is_watched_on_the_train_graph(visit, server, width):
     expect(card).to_have_attribute("data-status", "stopped", timeout=PATIENCE_MS)
     page.goto(f"{server.url}/runs?find=every+240")
     expect(page.locator('[aria-label="Runs"] tbody tr').first).to_contain_text("yizhuang · every 240 s")
+
+
+def test_a_line_that_is_over_shows_its_graph(browser, tmp_path):
+    """After the server was restarted there is no stream of it any more, only what was kept."""
+    served = Server(tmp_path)
+    body = {"line": "yizhuang", "headway_s": 300, "pace": 100, "lasts_s": 120}
+    run = served.post("/api/running-lines", body, code=201)["id"]
+    served.wait(run)
+    served.kill()
+    served = Server(tmp_path)
+    page = browser.new_page()
+    try:
+        page.goto(f"{served.url}/line?run={run}")
+        expect(page.locator('[data-test="running"]')).to_have_attribute("data-status", "done")
+        graph = "document.querySelector('[data-test=running-graph]')"
+        page.wait_for_function(f"{graph}.data?.[0].x.length > 100", timeout=PATIENCE_MS)
+        assert page.evaluate(f"{graph}.layout.yaxis.ticktext.length") == 14
+        expect(page.locator('[data-test="running-result"]')).to_contain_text("trains in 2 min")
+    finally:
+        page.close()
+        served.close()

@@ -17,13 +17,21 @@ from metropilot.operation import OperationOptions, SlowSection, TrainHold
 from metropilot.railway import Restriction
 from metropilot.sim import Disturbance, TimetableUpdate
 from metropilot.units import KINDS
+from metropilot.web.pages import form
 from metropilot.web.pages.compare import outcome
 from metropilot.web.pages.convoy import ConvoyPage, member_outcome
 from metropilot.web.pages.drive import DrivePage
 from metropilot.web.pages.form import describe_range, validate
 from metropilot.web.pages.frame import frame
+from metropilot.web.pages.numbers import NumberField
 from metropilot.web.pages.operation import OperationPage
-from metropilot.web.pages.plots import compare_figure, convoy_figure, finished_convoy_figure, front_figure
+from metropilot.web.pages.plots import (
+    compare_figure,
+    convoy_figure,
+    finished_convoy_figure,
+    finished_line_figure,
+    front_figure,
+)
 from metropilot.web.pages.runs import RunList
 from metropilot.web.schemas.requests import ConvoyIn, DriveIn, JourneyIn, LearnIn, NewLink
 from metropilot.web.service import Service
@@ -65,12 +73,12 @@ def test_a_form_shows_what_is_declared(monkeypatch, tmp_path):
     """Every field has the label, unit, step, range and default of the declaration that also checks it."""
     shown = {}
 
-    class Recorded(ui.number):
+    class Recorded(NumberField):
         def __init__(self, label, **more):
             super().__init__(label=label, **more)
             assert shown.setdefault(label, self) is self
 
-    monkeypatch.setattr(ui, "number", Recorded)
+    monkeypatch.setattr(form, "NumberField", Recorded)
 
     async def build():
         core.loop = asyncio.get_running_loop()
@@ -132,6 +140,28 @@ def test_a_driver_has_one_colour_in_every_picture():
     assert len(set(driver_styles(names).values())) == len(names)
     gaps = [t["line"]["color"] for t in convoy_figure()["data"][:5]]
     assert gaps == [colour for colour, _ in SERIES_STYLES[:5]]
+
+
+def test_a_line_that_is_over_is_drawn_as_it_was():
+    graph = {
+        "stops": [{"code": "A", "position_m": 0.0}, {"code": "B", "position_m": 2000.0}],
+        "time_s": [60.0, 120.0],
+        "position_m": [[0.0, 500.0, 900.0], [300.0, 700.0, 900.0]],
+        "delay_s": [[0.0, 0.0, 0.0], [-3.0, 20.0, 80.0]],
+        "energy_kwh": [1.0, 2.0],
+        "floor_kwh": [0.5, 1.5],
+    }
+    drawn = finished_line_figure(graph)
+    paths = [(trace["x"], trace["y"]) for trace in drawn["data"][:3]]
+    assert [x for x, _ in paths] == [[1.0, 2.0, None]] * 3
+    assert [y for _, y in paths] == [[0.0, 0.3, None], [0.5, 0.7, None], [0.9, 0.9, None]]
+    late, energy, floor, trains = ((trace["x"], trace["y"]) for trace in drawn["data"][3:])
+    assert late == ([1.0, 2.0], [0.0, 100 / 60])
+    assert (energy[1], floor[1]) == ([1.0, 2.0], [0.5, 1.5])
+    assert trains == ([2.0] * 3, [0.3, 0.7, 0.9])
+    assert drawn["layout"]["yaxis"]["ticktext"] == ["A", "B"]
+    empty = {name: [] for name in graph}
+    assert all(trace["x"] == [] for trace in finished_line_figure(empty)["data"])
 
 
 def test_a_driver_has_one_colour_in_every_comparison():

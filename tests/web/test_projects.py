@@ -10,6 +10,8 @@ import pytest
 from tests.web.program import Server
 from tests.web.test_api import SECTION, refusal_of
 
+from metropilot.web.pages.plots import finished_line_figure
+
 
 def pack(entries):
     """An archive of (name or ZipInfo, content)."""
@@ -104,6 +106,54 @@ def test_an_archive_gives_the_same_project_elsewhere(filled, tmp_path):
         assert len(json.loads(again.read("project.json"))["jobs"]) == 2  # the live one runs again
     finally:
         other.close()
+
+
+def test_an_archive_holds_running_lines_with_their_graph(server):
+    project = server.post("/api/projects", {"name": "lines"}, code=201)["id"]
+    body = {"line": "yizhuang", "headway_s": 300, "pace": 0, "lasts_s": 300}
+    lives = [server.post("/api/running-lines", body, code=201)["id"] for _ in range(2)]
+    server.post(f"/api/live/{lives[0]}/hold", {"station": "RJ", "hold_s": 120})
+    server.post(f"/api/live/{lives[0]}/pace", {"pace": 100})
+    server.wait(lives[0])
+    server.post(f"/api/live/{lives[1]}/stop")
+    for live in lives:
+        server.client.put(f"/api/jobs/{live}/project", json={"project": project})
+    content = server.client.get(f"/api/projects/{project}/archive").content
+    made = send(server, content, 201)["id"]
+    rows = {row["status"]: row["id"] for row in server.get(f"/api/jobs?project={made}")}
+    assert set(rows) == {"done", "stopped"}
+    assert not set(rows.values()) & set(lives)
+    told = [server.get(f"/api/live/{live}/line") for live in (lives[0], rows["done"])]
+    assert told[0] == told[1]
+    graph = told[1]["graph"]
+    assert graph["time_s"] == [5.0 * k for k in range(1, 61)]
+    assert {len(row) for row in graph["position_m"]} == {told[1]["trains"]}
+    drawn = finished_line_figure(graph)["data"]
+    assert sum(len(drawn[k]["x"]) for k in range(3)) == 3 * 59 * told[1]["trains"]
+    assert len(drawn[2]["x"]) > 0, "a train is more than a minute late"
+    assert drawn[-1]["y"] == [m / 1000 for m in graph["position_m"][-1]]
+    paths = [f"/api/jobs/{job}/files/delays.csv" for job in (lives[0], rows["done"])]
+    assert len({server.client.get(path).text for path in paths}) == 1
+    assert server.post(f"/api/live/{rows['stopped']}/resume", code=201)["status"] in {"running", "queued"}
+    server.post(f"/api/live/{rows['stopped']}/stop")
+
+
+ROWS = {"time_s": [5], "position_m": [[1]], "delay_s": [[0]], "energy_kwh": [1], "floor_kwh": [1]}
+GRAPH = {"stops": [], **ROWS}
+
+
+@pytest.mark.parametrize("change", [{"position_m": []}, {"position_m": [[1, 2]]}, {"stops": "x"}])
+def test_a_train_graph_without_a_shape_is_refused(server, change):
+    told = dict.fromkeys(("time_s", "energy_kwh", "floor_kwh", "largest_delay_s", "delay_s"), 1.0)
+    told |= {"trains": 1, "waits": 0, "stops": 0, "gap_percent": 0, "disturbed_s": None, "recovered_s": None}
+    request = {"line": "yizhuang", "headway_s": 300, "lasts_s": 300}
+    job = {**JOB, "kind": "live", "id": "live-1", "request": request}
+    for graph, code in ((GRAPH, 201), (GRAPH | change, 422)):
+        result = json.dumps({**told, "outcome": "", "graph": graph})
+        entries = [("project.json", index(jobs=[job])), ("jobs/live-1/result.json", result)]
+        answer = send(server, pack(entries), code)
+    assert answer["error"]["message"].startswith("not usable")
+    assert answer["error"]["field"] == "jobs[0]"
 
 
 def link(name):

@@ -1,6 +1,9 @@
 """Users of a shared server: who they are, what each may, what is theirs, and their limits."""
 
 import asyncio
+import threading
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 
 import pytest
 from tests.web.program import Server
@@ -245,3 +248,51 @@ def test_a_header_that_anybody_could_send_is_refused(tmp_path, settings, field):
     with pytest.raises(InputError) as told:
         Settings(data=tmp_path, **settings)
     assert told.value.field == field
+
+
+def at_once(count, user, act):
+    """Call a function in threads that begin together; return what each did or was refused with."""
+    begin = threading.Barrier(count)
+
+    def one(k):
+        with answer_to(user):
+            begin.wait()
+            try:
+                return act(k)
+            except Refused as refused:
+                return refused
+
+    with ThreadPoolExecutor(count) as pool:
+        return list(pool.map(one, range(count)))
+
+
+def test_jobs_at_once_do_not_pass_the_limit_together(tmp_path):
+    service = Service(Settings(data=tmp_path, user_jobs=3, queued_jobs=5))
+    anna, mia = User("anna"), User("mia")
+    found = at_once(12, anna, lambda _: service.store.new_job("drive", {}, service.check_room))
+    assert sum(isinstance(each, str) for each in found) == 3
+    assert {each.status for each in found if isinstance(each, Refused)} == {429}
+    assert service.store.count_of("anna") == 3
+    found = at_once(12, mia, lambda _: service.store.new_job("drive", {}, service.check_room))
+    assert sum(isinstance(each, str) for each in found) == 2, "five may wait in all"
+    for row in service.store.jobs():
+        service.store.update(row.id, status="stopped")
+    stopped = [row.id for row in service.store.jobs()]
+    limit = partial(service.check_limits, jobs=1)
+    found = at_once(5, anna, lambda k: service.store.update(stopped[k], limit, status="queued"))
+    assert sum(each is None for each in found) == 5 - sum(isinstance(each, Refused) for each in found)
+    assert service.store.count_of("anna") <= 3
+
+
+def test_uploads_at_once_do_not_pass_the_limit_together(tmp_path):
+    service = Service(Settings(data=tmp_path, user_bytes=25_000))
+    (tmp_path / "uploads").mkdir()
+
+    def upload(k):
+        (tmp_path / "uploads" / f"{k}.toml").write_bytes(b"x" * 10_000)
+        room = partial(service.check_limits, size=10_000)
+        return service.store.add_upload("line", "mine", f"{k}.toml", room)
+
+    found = at_once(8, User("anna"), upload)
+    assert sum(not isinstance(each, Refused) for each in found) == 2
+    assert service.kept_bytes("anna") == 20_000

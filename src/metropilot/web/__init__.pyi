@@ -10,3 +10,5 @@ from .settings import Settings as Settings
 from .settings import data_folder as data_folder
 from .users import User as User
 from .users import read_users as read_users
+from .words.declared import declared_texts as declared_texts
+from .words.language import LANGUAGES as LANGUAGES

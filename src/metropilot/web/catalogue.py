@@ -31,6 +31,7 @@ from metropilot.sim import Trajectory
 from metropilot.web.errors import Refused
 from metropilot.web.service import Service, live_kind
 from metropilot.web.store import JobRow
+from metropilot.web.words.language import N_
 from metropilot.web.work.learning import PROGRESS
 from metropilot.web.work.plans import numbers, pieces, station
 
@@ -329,18 +330,18 @@ def _report(service: Service, key: str) -> dict[str, Any] | None:
 
 
 KINDS = {
-    "drive": "Drive",
-    "live": "Live run",
-    "convoy": "Convoy",
-    "running": "Running line",
-    "compare": "Comparison",
-    "journey": "Journey",
-    "line": "Line",
-    "campaign": "Campaign",
-    "export": "Export",
-    "fit": "Fit",
-    "learn": "Learning run",
-    "study": "Study",
+    "drive": N_("Drive"),
+    "live": N_("Live run"),
+    "convoy": N_("Convoy"),
+    "running": N_("Running line"),
+    "compare": N_("Comparison"),
+    "journey": N_("Journey"),
+    "line": N_("Line"),
+    "campaign": N_("Campaign"),
+    "export": N_("Export"),
+    "fit": N_("Fit"),
+    "learn": N_("Learning run"),
+    "study": N_("Study"),
 }
 """Kinds of jobs in words; a live run with followers is a convoy, one of a whole line a running line."""
 

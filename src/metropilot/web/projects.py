@@ -14,7 +14,6 @@ from zipfile import ZIP_DEFLATED, BadZipFile, LargeZipFile, ZipFile, ZipInfo
 from pydantic import BaseModel, ValidationError
 
 from metropilot.errors import InputError
-from metropilot.web.catalogue import kind_of
 from metropilot.web.errors import Refused
 from metropilot.web.schemas.requests import (
     CompareIn,
@@ -24,9 +23,17 @@ from metropilot.web.schemas.requests import (
     JourneyIn,
     LiveIn,
     OperationIn,
+    RunningLineIn,
 )
-from metropilot.web.schemas.responses import CompareOut, DriveOut, FitOut, JourneyOut, OperationOut
-from metropilot.web.service import SUFFIXES, Service
+from metropilot.web.schemas.responses import (
+    CompareOut,
+    DriveOut,
+    FitOut,
+    JourneyOut,
+    OperationOut,
+    RunningLineOut,
+)
+from metropilot.web.service import SUFFIXES, Service, live_kind
 from metropilot.web.store import OVER, JobRow, ProjectRow
 from metropilot.web.work.drives import FILES
 
@@ -47,8 +54,15 @@ BODIES: dict[str, tuple[type[BaseModel], type[BaseModel]]] = {
 }
 """Request and result of the jobs that an archive holds.
 
-Learning, studies, campaigns and running lines are left out.
+Learning, studies, campaigns and exports are left out.
 """
+LIVE: dict[str, tuple[type[BaseModel], type[BaseModel] | None]] = {
+    "run": BODIES["live"],
+    "line": (RunningLineIn, RunningLineOut),
+    "convoy": (ConvoyIn, None),
+}
+"""Those of the kinds of live runs; the result of a convoy is checked by its keys."""
+CONVOY_RESULT = {"kpis", "success", "time_s", "speeds"}
 RESTING = (*OVER, "interrupted")
 
 
@@ -134,7 +148,7 @@ def _is_file_of(kind: str, name: str) -> bool:
 
 
 def _is_kept(row: JobRow) -> bool:
-    return row.kind in BODIES and row.status in RESTING and kind_of(row) != "running"
+    return row.kind in BODIES and row.status in RESTING
 
 
 async def read_archive(service: Service, content: bytes) -> ProjectRow:
@@ -303,20 +317,18 @@ def _take_job(told: dict[str, Any], files: dict[str, bytes], ids: dict[str, str]
     if kind not in BODIES or status not in RESTING:
         allowed = ", ".join((*BODIES, *RESTING))
         raise InputError("not a job", file=INDEX, field=field, value=f"{kind} {status}"[:80], allowed=allowed)
-    body, result = BODIES[kind]
-    convoy = kind == "live" and isinstance(told.get("request"), dict) and "follower" in told["request"]
+    given = told.get("request")
+    body, result = LIVE[live_kind(given)] if kind == "live" and isinstance(given, dict) else BODIES[kind]
     prefix = f"jobs/{key}/"
     kept = {name.removeprefix(prefix): data for name, data in files.items() if name.startswith(prefix)}
     try:
         # ids of uploads are words of their own, so that they are replaced wherever a request has them
-        asked = json.loads(
-            UPLOAD.sub(lambda match: ids.get(match[0], match[0]), json.dumps(told.get("request")))
-        )
-        request = (ConvoyIn if convoy else body).model_validate(asked).model_dump()
+        asked = json.loads(UPLOAD.sub(lambda match: ids.get(match[0], match[0]), json.dumps(given)))
+        request = body.model_validate(asked).model_dump()
         found = json.loads(kept.pop(RESULT, b"null"))
-        if found is not None and not convoy:
+        if found is not None and result is not None:
             result.model_validate(found)
-        if convoy and found is not None and not {"kpis", "success", "time_s", "speeds"} <= set(found):
+        elif found is not None and not set(found) >= CONVOY_RESULT:
             raise ValueError("not the result of a convoy")
         return ArchivedJob(
             kind=kind,

@@ -13,6 +13,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from metropilot.web.errors import answer
 from metropilot.web.settings import LOOPBACK, Settings
 from metropilot.web.users import NAME, VIEWER, User, answer_to, find_token
+from metropilot.web.words.language import answer_in, language_of
 
 COOKIE = "metropilot_token"
 SAFE = ("GET", "HEAD", "OPTIONS")
@@ -52,7 +53,7 @@ class Guard:
         user = self._user_of(scope)
         refusal = self._refusal(scope, user)
         if refusal is None:
-            with answer_to(user or User()):
+            with answer_to(user or User()), answer_in(language_of(Headers(scope=scope))):
                 await self._through(scope, receive, send)
         elif scope["type"] == "websocket":
             await send({"type": "websocket.close", "code": 1008})

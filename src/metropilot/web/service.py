@@ -5,8 +5,10 @@ from __future__ import annotations
 import asyncio
 import secrets
 import shutil
+import sqlite3
 from concurrent.futures import Future
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -110,10 +112,13 @@ class Service:
         await asyncio.to_thread(self.pools.stop)
 
     # ------------------------------------------------------------------------------------------ users
-    def check_limits(self, *, jobs: int = 0, size: int = 0) -> None:
+    def check_limits(
+        self, database: sqlite3.Connection | None = None, *, jobs: int = 0, size: int = 0
+    ) -> None:
         """Refuse what a viewer may not do, or what would exceed a limit of a named user.
 
         Args:
+            database: Transaction that adds it, so that two at once are not both let in; None: a look before.
             jobs: Jobs or live runs that are to be added.
             size: Bytes that are to be added.
 
@@ -125,18 +130,24 @@ class Service:
         if name is None:
             return
         most = self.settings.user_jobs
-        if jobs and self.store.count_of(name) + jobs > most:
-            words = f"{name} has {self.store.count_of(name)} jobs that wait or run; stop one, or wait"
+        if jobs and (going := self.store.count_of(name, database)) + jobs > most:
+            words = f"{name} has {going} jobs that wait or run; stop one, or wait"
             raise Refused(words, 429, field="user", value=name, allowed=f"at most {most}")
-        kept = self.kept_bytes(name)
+        kept = self.kept_bytes(name, database)
         if kept + size > self.settings.user_bytes:
             words = f"{name} keeps {kept / 1e6:.1f} MB of runs and uploads; delete some"
             allowed = f"at most {self.settings.user_bytes / 1e6:g} MB"
             raise Refused(words, 429, field="user", value=name, allowed=allowed)
 
-    def kept_bytes(self, user: str) -> int:
+    def check_room(self, database: sqlite3.Connection | None = None) -> None:
+        """Refuse a job of a viewer, beyond a limit of the present user, or beyond those that may wait."""
+        self.check_limits(database, jobs=1)
+        if self.store.count_waiting(database) >= self.settings.queued_jobs:
+            raise Refused("too many jobs wait", 429)
+
+    def kept_bytes(self, user: str, database: sqlite3.Connection | None = None) -> int:
         """Size of the results, files and uploads of a user, bytes."""
-        size, places = self.store.kept_by(user)
+        size, places = self.store.kept_by(user, database)
         for place in places:
             path = self.root / place
             for file in [path] if path.is_file() else path.rglob("*"):
@@ -256,7 +267,12 @@ class Service:
             InputError: It is too large, of no known kind, or malformed: the message names the field.
         """
         file, found = await self._take(name, content)
-        return self.store.add_upload(found["kind"], found["name"][:120], file), found
+        room = partial(self.check_limits, size=len(content))
+        try:
+            return self.store.add_upload(found["kind"], found["name"][:120], file, room), found
+        except BaseException:
+            (self.root / "uploads" / file).unlink(missing_ok=True)
+            raise
 
     async def save(self, upload: str, text: str, based_on: int) -> int:
         """Save a TOML document as the next version of a line or trainset; return its number.
@@ -278,7 +294,8 @@ class Service:
         try:
             if found["kind"] != kind:
                 raise InputError(f"another kind than that of {upload}", field="kind", allowed=kind)
-            return self.store.add_version(upload, based_on, found["name"][:120], file)
+            room = partial(self.check_limits, size=len(text.encode()))
+            return self.store.add_version(upload, based_on, found["name"][:120], file, room)
         except BaseException:
             path.unlink(missing_ok=True)
             raise
@@ -445,9 +462,7 @@ class Service:
             InputError: The job is not possible.
             Refused: Too many jobs wait, or too many of the user (429); a viewer (403).
         """
-        self.check_limits(jobs=1)
-        if self.store.count_waiting() >= self.settings.queued_jobs:
-            raise Refused("too many jobs wait", 429)
+        self.check_room()
         if isinstance(body, LearnIn):
             self._check_learning(body)
             kind = "learn"
@@ -477,7 +492,7 @@ class Service:
                 self._check_driver(request)
             kind = "compare" if isinstance(body, CompareIn) else "drive"
         values = body.model_dump(by_alias=True, exclude_unset=isinstance(body, CampaignIn))
-        job = self.store.new_job(kind, values)
+        job = self.store.new_job(kind, values, self.check_room)
         self._schedule(job, kind, values, None)
         return job
 
@@ -507,8 +522,8 @@ class Service:
         row = self.store.job(job)
         if row.kind == "live" or row.status in {"queued", "running", "done"}:
             raise Refused(f"a job that is {row.status} cannot be resumed", 409, field="id", value=job)
-        self.check_limits(jobs=1)
-        self.store.update(job, status="queued", words="", stop=0, error=None)
+        limit = partial(self.check_limits, jobs=1)
+        self.store.update(job, limit, status="queued", words="", stop=0, error=None)
         self._schedule(job, row.kind, row.request, row.run)
 
     def _schedule(self, job: str, kind: str, body: dict[str, Any], run: str | None) -> None:
@@ -630,9 +645,10 @@ class Service:
             "root": str(self.root),
         }
         if job is None:
-            job = self.store.new_job("live", body.model_dump())
+            job = self.store.new_job("live", body.model_dump(), partial(self.check_limits, jobs=1))
             order |= {"journal": [], "step": 0}
         else:
+            self.store.update(job, partial(self.check_limits, jobs=1), status="queued", words="", error=None)
             order |= {"journal": self.store.journal(job), "step": int(self.store.job(job).progress)}
         order["job"] = job
         session = Session(
@@ -640,7 +656,6 @@ class Service:
         )
         self._forget_old()
         self.sessions[job] = session
-        self.store.update(job, status="queued", words="", error=None)
         self.queue.append(session)
         self._start_queued()
         if not session.waiting:

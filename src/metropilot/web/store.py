@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import secrets
 import sqlite3
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, fields
 from datetime import UTC, datetime
@@ -41,6 +41,8 @@ INSERT INTO versions SELECT id, 1, name, file, created FROM uploads
     WHERE id NOT IN (SELECT upload FROM versions);
 """
 OVER = ("done", "failed", "stopped")
+Check = Callable[[sqlite3.Connection], None]
+"""Refusal of a change, which is called in the transaction that makes it: nothing comes between."""
 SORTS = {name: name for name in ("created", "name", "kind", "status")}
 SORTS |= {name: f"json_extract(summary, '$.{name}')" for name in ("time_s", "energy_kwh", "gap_percent")}
 """SQL by which jobs are sorted."""
@@ -135,16 +137,35 @@ class JobStore:
             yield database
 
     @contextmanager
-    def _change(self) -> Iterator[sqlite3.Connection]:
+    def _read(self, database: sqlite3.Connection | None) -> Iterator[sqlite3.Connection]:
+        """Read in a transaction that is there, or in one of its own."""
+        if database is not None:
+            yield database
+            return
+        with self._open() as opened:
+            yield opened
+
+    @contextmanager
+    def _change(self, check: Check | None = None) -> Iterator[sqlite3.Connection]:
+        """Change in one transaction, which a check begins, if there is one."""
         check_may_change()
         with self._open() as database:
+            if check is not None:
+                database.execute("BEGIN IMMEDIATE")
+                check(database)
             yield database
 
-    def new_job(self, kind: str, request: dict[str, Any]) -> str:
-        """Add a job of the present user with status ``queued``; return its id."""
+    def new_job(self, kind: str, request: dict[str, Any], check: Check | None = None) -> str:
+        """Add a job of the present user with status ``queued``; return its id.
+
+        Args:
+            kind: Kind of the job.
+            request: Its request.
+            check: Refuses the job where there is no room for it.
+        """
         now = datetime.now(UTC)
         job = f"{kind}-{now:%Y%m%d-%H%M%S}-{secrets.token_hex(3)}"
-        with self._change() as database:
+        with self._change(check) as database:
             sql = (
                 "INSERT INTO jobs (id, kind, status, request, created, user) VALUES (?, ?, 'queued', ?, ?, ?)"
             )
@@ -152,8 +173,14 @@ class JobStore:
             database.execute(sql, values)
         return job
 
-    def update(self, job: str, **changes: object) -> None:
-        """Change columns of a job; ``error`` and ``result`` become JSON, a result is summarised."""
+    def update(self, job: str, check: Check | None = None, /, **changes: object) -> None:
+        """Change columns of a job; ``error`` and ``result`` become JSON, a result is summarised.
+
+        Args:
+            job: Id of the job.
+            check: Refuses the change.
+            changes: Values of the columns.
+        """
         if changes.get("result") is not None:
             changes["summary"] = summarise(changes["result"])
         values = [
@@ -161,7 +188,7 @@ class JobStore:
             for k, v in changes.items()
         ]
         names = ", ".join(f"{name} = ?" for name in changes)
-        with self._change() as database:
+        with self._change(check) as database:
             database.execute(f"UPDATE jobs SET {names} WHERE id = ?", (*values, job))
 
     def job(self, job: str) -> JobRow:
@@ -217,25 +244,25 @@ class JobStore:
         """Jobs with status ``queued`` or ``running``, the oldest first."""
         return self._jobs("WHERE status IN ('queued', 'running') ORDER BY created", ())
 
-    def count_waiting(self) -> int:
+    def count_waiting(self, database: sqlite3.Connection | None = None) -> int:
         """Number of jobs that wait or run, without live runs."""
-        with self._open() as database:
+        with self._read(database) as opened:
             sql = "SELECT count(*) FROM jobs WHERE status IN ('queued', 'running') AND kind != 'live'"
-            return int(database.execute(sql).fetchone()[0])
+            return int(opened.execute(sql).fetchone()[0])
 
-    def count_of(self, user: str) -> int:
+    def count_of(self, user: str, database: sqlite3.Connection | None = None) -> int:
         """Number of jobs and live runs of a user that wait or run."""
-        with self._open() as database:
+        with self._read(database) as opened:
             sql = "SELECT count(*) FROM jobs WHERE status IN ('queued', 'running') AND user = ?"
-            return int(database.execute(sql, (user,)).fetchone()[0])
+            return int(opened.execute(sql, (user,)).fetchone()[0])
 
-    def kept_by(self, user: str) -> tuple[int, list[str]]:
+    def kept_by(self, user: str, database: sqlite3.Connection | None = None) -> tuple[int, list[str]]:
         """Bytes of the results of a user, and the folders and files beside them, below the data folder."""
-        with self._open() as database:
+        with self._read(database) as opened:
             sql = "SELECT id, run, length(result) FROM jobs WHERE user = ?"
-            jobs = database.execute(sql, (user,)).fetchall()
+            jobs = opened.execute(sql, (user,)).fetchall()
             sql = "SELECT file FROM versions WHERE upload IN (SELECT id FROM uploads WHERE user = ?)"
-            files = database.execute(sql, (user,)).fetchall()
+            files = opened.execute(sql, (user,)).fetchall()
         paths = [f"jobs/{job}" for job, _, _ in jobs] + [f"runs/{run}" for _, run, _ in jobs if run]
         return sum(size or 0 for _, _, size in jobs), paths + [f"uploads/{file}" for (file,) in files]
 
@@ -267,11 +294,11 @@ class JobStore:
             ).fetchall()
         return [(int(step), json.loads(event)) for step, event in rows]
 
-    def add_upload(self, kind: str, name: str, file: str) -> UploadRow:
+    def add_upload(self, kind: str, name: str, file: str, check: Check | None = None) -> UploadRow:
         """Add an upload of the present user under a new id, with its first version."""
         key, user = f"upload-{secrets.token_hex(4)}", present_user().name
         row, now = UploadRow(key, kind, name, file, user=user), _now()
-        with self._change() as database:
+        with self._change(check) as database:
             sql = "INSERT INTO uploads (id, kind, name, file, created, user) VALUES (?, ?, ?, ?, ?, ?)"
             database.execute(sql, (row.id, kind, name, file, now, user))
             database.execute("INSERT INTO versions VALUES (?, 1, ?, ?, ?)", (row.id, name, file, now))
@@ -321,7 +348,9 @@ class JobStore:
             for table in ("jobs", "uploads"):
                 database.execute(f"UPDATE {table} SET project = NULL WHERE project = ?", (project,))
 
-    def add_version(self, upload: str, based_on: int, name: str, file: str) -> int:
+    def add_version(
+        self, upload: str, based_on: int, name: str, file: str, check: Check | None = None
+    ) -> int:
         """Add a version of an upload and make it the one that its id stands for; return its number.
 
         Args:
@@ -329,12 +358,12 @@ class JobStore:
             based_on: Version that was edited; it must be the newest one.
             name: Name that the file gives.
             file: File of the version.
+            check: Refuses the version where there is no room for it.
 
         Raises:
             Refused: No such upload (404), or somebody saved another version meanwhile (409).
         """
-        with self._change() as database:
-            database.execute("BEGIN IMMEDIATE")
+        with self._change(check or (lambda _: None)) as database:
             sql = "SELECT max(number) FROM versions WHERE upload = ?"
             newest = database.execute(sql, (upload,)).fetchone()[0]
             if newest is None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+from collections import deque
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -21,6 +22,10 @@ Event = dict[str, Any]
 ROW_S = 5.0
 """Time between two rows; the line itself is looked at every second."""
 DELAYS = "delays.csv"
+GRAPH = ("time_s", "position_m", "delay_s", "energy_kwh", "floor_kwh")
+"""Columns of the train graph that is kept: a row has a value of each, or a list with one for each train."""
+WINDOW_S = 1800.0
+"""Time of the train graph that is shown, and kept with the result."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,6 +51,7 @@ class LineEngine:
         self.running = RunningLine(operation_energy(request.operation()))
         self.steps = 0
         self.rows: list[tuple[float, list[float]]] = []
+        self.shown: deque[tuple[Any, ...]] = deque(maxlen=round(WINDOW_S / ROW_S) + 1)
 
     @property
     def time_s(self) -> float:
@@ -78,7 +84,9 @@ class LineEngine:
         told = running.as_dict()
         counts = (told["energy_kwh"], told["floor_kwh"], told["waits"], told["stops"])
         places, delays = numbers(running.positions_m, 0), numbers(running.delays_s, 0)
-        return [round(self.time_s, 1), places, delays, *numbers(counts, 2), self.steps]
+        row = [round(self.time_s, 1), places, delays, *numbers(counts, 2)]
+        self.shown.append(tuple(row[: len(GRAPH)]))
+        return [*row, self.steps]
 
     def pop_updates(self) -> list[str]:
         """Descriptions of what happened since the last call."""
@@ -131,7 +139,7 @@ class LineEngine:
         }
 
     def report(self, folder: Path) -> tuple[dict[str, Any], dict[str, Any], str]:
-        """Write the delays of all trains; return the result in short and in full, and the outcome."""
+        """Write the delays of all trains; return the result in short and with its graph, and the outcome."""
         told = self.running.as_dict()
         with fill_folder(folder) as scratch, (scratch / DELAYS).open("w", newline="") as file:
             writer = csv.writer(file)
@@ -139,4 +147,6 @@ class LineEngine:
             writer.writerows([time_s, *numbers(delays, 1)] for time_s, delays in self.rows)
         recovered = told["disturbed_s"] is None or told["recovered_s"] is not None
         outcome = "every train is on time" if recovered else f"{told['delay_s']:.0f} s late in all"
-        return told, told | {"outcome": outcome}, outcome
+        graph: dict[str, Any] = dict(zip(GRAPH, map(list, zip(*self.shown, strict=True)), strict=True))
+        stops = [{"code": s.code, "position_m": s.position_m} for s in self.running.operation.line.stations]
+        return told, told | {"outcome": outcome, "graph": graph | {"stops": stops}}, outcome

@@ -17,58 +17,61 @@ from metropilot.errors import InputError, MetropilotError
 from metropilot.sim import Disturbance
 from metropilot.web import catalogue, evidence
 from metropilot.web.pages.form import validate
-from metropilot.web.pages.frame import ActionButton, Problem, card, frame, links
+from metropilot.web.pages.frame import ActionButton, Problem, card, frame, links, prop_of
+from metropilot.web.pages.numbers import NumberField, parse_number, split_list
 from metropilot.web.pages.strip import names
 from metropilot.web.pages.tables import DataColumn, DataTable
 from metropilot.web.schemas.requests import CampaignIn
 from metropilot.web.service import Service
+from metropilot.web.words.language import N_, _, translate_each
+from metropilot.web.words.said import retell
 
 EVERY_S = 1.0
 GOING = ("queued", "running")
 SHOWN_ROWS = 300
 """Rows shown at once."""
 CELLS = (
-    DataColumn("driver", "Driver", filtered=True),
-    DataColumn("disturbance", "Disturbance", filtered=True, wide=True),
-    DataColumn("runs", "Runs", digits=0, wide=True),
-    DataColumn("safe_percent", "Safe (%)", digits=1, wide=True),
-    DataColumn("success_percent", "On time (%)", digits=1),
-    DataColumn("gap_median", "Gap, median (%)", digits=2),
-    DataColumn("gap_95", "95th (%)", digits=1, wide=True),
-    DataColumn("gap_worst", "Worst (%)", digits=1, wide=True),
-    DataColumn("trainset_median", "Trainset (%)", digits=2, wide=True),
-    DataColumn("driver_median", "Driver (%)", digits=2, wide=True),
-    DataColumn("late_worst_s", "Time, worst (s)", digits=2, wide=True),
-    DataColumn("stop_worst_m", "Stop, worst (m)", digits=3, wide=True),
-    DataColumn("jerk_worst_mps3", "Jerk, worst (m/s³)", digits=2, wide=True),
-    DataColumn("intervened", "Intervened", digits=0, wide=True),
-    DataColumn("failed", "Failed", digits=0, wide=True),
+    DataColumn("driver", N_("Driver"), filtered=True),
+    DataColumn("disturbance", N_("Disturbance"), filtered=True, wide=True, said=True),
+    DataColumn("runs", N_("Runs"), digits=0, wide=True),
+    DataColumn("safe_percent", N_("Safe (%)"), digits=1, wide=True),
+    DataColumn("success_percent", N_("On time (%)"), digits=1),
+    DataColumn("gap_median", N_("Gap, median (%)"), digits=2),
+    DataColumn("gap_95", N_("95th (%)"), digits=1, wide=True),
+    DataColumn("gap_worst", N_("Worst (%)"), digits=1, wide=True),
+    DataColumn("trainset_median", N_("Trainset (%)"), digits=2, wide=True),
+    DataColumn("driver_median", N_("Driver (%)"), digits=2, wide=True),
+    DataColumn("late_worst_s", N_("Time, worst (s)"), digits=2, wide=True),
+    DataColumn("stop_worst_m", N_("Stop, worst (m)"), digits=3, wide=True),
+    DataColumn("jerk_worst_mps3", N_("Jerk, worst (m/s³)"), digits=2, wide=True),
+    DataColumn("intervened", N_("Intervened"), digits=0, wide=True),
+    DataColumn("failed", N_("Failed"), digits=0, wide=True),
 )
 ROWS = (
-    DataColumn("words", "Run", kind="link"),
-    DataColumn("driver", "Driver"),
-    DataColumn("disturbance", "Disturbance", wide=True),
-    DataColumn("outcome", "Outcome", kind="styled"),
-    DataColumn("time_error_s", "Time error (s)", digits=2, wide=True),
-    DataColumn("stopping_error_m", "Stop (m)", digits=3, wide=True),
-    DataColumn("energy_wheel_kwh", "Energy (kWh)", digits=2, wide=True),
-    DataColumn("optimality_gap_percent", "Gap (%)", digits=2),
-    DataColumn("trainset_gap_percent", "Trainset (%)", digits=2, wide=True),
-    DataColumn("driver_gap_percent", "Driver (%)", digits=2, wide=True),
-    DataColumn("max_jerk_mps3", "Jerk (m/s³)", digits=2, wide=True),
-    DataColumn("interventions", "Interventions", digits=0, wide=True),
+    DataColumn("words", N_("Run"), kind="link"),
+    DataColumn("driver", N_("Driver")),
+    DataColumn("disturbance", N_("Disturbance"), wide=True, said=True),
+    DataColumn("outcome", N_("Outcome"), kind="styled"),
+    DataColumn("time_error_s", N_("Time error (s)"), digits=2, wide=True),
+    DataColumn("stopping_error_m", N_("Stop (m)"), digits=3, wide=True),
+    DataColumn("energy_wheel_kwh", N_("Energy (kWh)"), digits=2, wide=True),
+    DataColumn("optimality_gap_percent", N_("Gap (%)"), digits=2),
+    DataColumn("trainset_gap_percent", N_("Trainset (%)"), digits=2, wide=True),
+    DataColumn("driver_gap_percent", N_("Driver (%)"), digits=2, wide=True),
+    DataColumn("max_jerk_mps3", N_("Jerk (m/s³)"), digits=2, wide=True),
+    DataColumn("interventions", N_("Interventions"), digits=0, wide=True),
 )
 SORTS = {
-    "optimality_gap_percent": "largest gap",
-    "driver_gap_percent": "largest loss of the driver",
-    "time_error_s": "latest",
-    "stopping_error_m": "farthest beyond the stop",
-    "max_jerk_mps3": "largest jerk",
-    "interventions": "most interventions",
-    "energy_wheel_kwh": "most energy",
-    "row": "first row",
+    "optimality_gap_percent": N_("largest gap"),
+    "driver_gap_percent": N_("largest loss of the driver"),
+    "time_error_s": N_("latest"),
+    "stopping_error_m": N_("farthest beyond the stop"),
+    "max_jerk_mps3": N_("largest jerk"),
+    "interventions": N_("most interventions"),
+    "energy_wheel_kwh": N_("most energy"),
+    "row": N_("first row"),
 }
-OUTCOMES = {"": "every run", "true": "on time", "false": "not on time"}
+OUTCOMES = {"": N_("every run"), "true": N_("on time"), "false": N_("not on time")}
 
 
 class CampaignsPage:
@@ -87,7 +90,7 @@ class CampaignsPage:
     def build(self) -> None:
         """Place the list and the form on the left, the campaign on the right."""
         with ui.element("div").classes("mp-col"):
-            with card("Campaigns", "Published with their pages, and those of this server."):
+            with card(_("Campaigns"), _("Published with their pages, and those of this server.")):
                 self.list = ui.element("div").classes("mp-stack").props('data-test="campaigns"')
             self.declaration = CampaignForm(self.service, self.start)
             self.declaration.build()
@@ -97,23 +100,29 @@ class CampaignsPage:
                 self.title = ui.label("").classes("mp-h").props("role=heading aria-level=2")
                 self.matrix = ui.label("").classes("mp-soft").props('data-test="matrix"')
                 self.bar = ui.linear_progress(value=0, show_value=False)
-                self.bar.props('aria-label="Progress" rounded')
+                self.bar.props("rounded").props(prop_of("aria-label", _("Progress")))
                 with ui.element("div").classes("mp-row items-center"):
-                    self.stop_button = ActionButton("Stop", on_click=self.stop).props("outline dense")
-                    self.resume_button = ActionButton("Resume", on_click=self.resume).props("outline dense")
+                    self.stop_button = ActionButton(_("Stop"), on_click=self.stop).props("outline dense")
+                    self.resume_button = ActionButton(_("Resume"), on_click=self.resume).props(
+                        "outline dense"
+                    )
                     self.state = ui.label("").classes("mp-soft").props('aria-live=polite data-test="state"')
                 self.files = ui.element("div")
-            with card("Drivers", "A driver and disturbance chosen here are those of the rows below."):
-                self.cells = DataTable("Drivers", CELLS, changed=self.show_rows)
+            with card(_("Drivers"), _("A driver and disturbance chosen here are those of the rows below.")):
+                self.cells = DataTable(_("Drivers"), CELLS, changed=self.show_rows)
                 self.cells.build()
-            with card("Rows", "Each opens as a run, with its disturbance and seed, in the form of Drive."):
+            with card(
+                _("Rows"), _("Each opens as a run, with its disturbance and seed, in the form of Drive.")
+            ):
                 with ui.element("div").classes("mp-row items-center"):
-                    self.sort = ui.select(SORTS, value="optimality_gap_percent", label="First")
-                    self.outcome = ui.select(OUTCOMES, value="", label="Runs")
+                    self.sort = ui.select(
+                        translate_each(SORTS), value="optimality_gap_percent", label=_("First")
+                    )
+                    self.outcome = ui.select(translate_each(OUTCOMES), value="", label=_("Runs"))
                     for each in (self.sort, self.outcome):
                         each.props("outlined dense options-dense").on_value_change(self.show_rows)
                     self.count = ui.label("").classes("mp-soft").props('data-test="count"')
-                self.rows = DataTable("Rows", ROWS)
+                self.rows = DataTable(_("Rows"), ROWS)
                 self.rows.build()
 
     async def start_up(self) -> None:
@@ -130,9 +139,11 @@ class CampaignsPage:
         self.list.clear()
         with self.list:
             for row in found:
-                words = f"{row['name']} · {row['rows']} rows" if row["rows"] else row["name"]
+                words = retell(row["name"])
+                if row["rows"]:
+                    words += " · " + _("{count} rows", count=row["rows"])
                 if row["status"] != "done":
-                    words += f" · {row['status']}"
+                    words += f" · {retell(row['status'])}"
                 button = ui.button(words, on_click=partial(self.choose, row["id"]))
                 button.props("flat no-caps dense").classes("w-full mp-item")
                 if row["id"] == self.campaign:
@@ -160,8 +171,8 @@ class CampaignsPage:
         self.fill(found)
         row = next((each for each in found if each["id"] == self.campaign), None)
         status = "" if row is None else row["status"]
-        self.title.text = self.campaign if row is None else row["name"]
-        self.state.text = "" if row is None or not self.is_own() else f"{status}: {row['words']}"
+        self.title.text = self.campaign if row is None else retell(row["name"])
+        self.state.text = "" if row is None or not self.is_own() else retell(f"{status}: {row['words']}")
         self.bar.value = row["done"] / row["rows"] if row and row["rows"] else 0
         self.bar.set_visibility(self.is_own())
         self.stop_button.set_visibility(status in GOING)
@@ -169,7 +180,8 @@ class CampaignsPage:
         told: Any = {"cells": [], "matrix": "", "written": ""}
         with self.problem.show_errors():
             told = await run.io_bound(evidence.campaign_out, self.service, self.campaign)
-        self.matrix.text = " ".join(text for text in (f"{told['matrix']}.", told["written"]) if text != ".")
+        matrix, written = retell(told["matrix"]), retell(told["written"])
+        self.matrix.text = _("{matrix}. {written}", matrix=matrix, written=written) if matrix else ""
         self.cells.fill([self.cell(each) for each in told["cells"]])
         self.files.clear()
         if self.is_own() and status == "done":
@@ -200,19 +212,19 @@ class CampaignsPage:
         except MetropilotError:
             found = {"count": 0, "rows": []}
         shown = min(found["count"], SHOWN_ROWS)
-        self.count.text = f"{shown} of {found['count']} rows"
+        self.count.text = _("{shown} of {count} rows", shown=shown, count=found["count"])
         self.rows.fill([self.row(each) for each in found["rows"]])
 
     def row(self, row: dict[str, Any]) -> dict[str, Any]:
         """A row of the table of rows."""
         late = row.get("actuation")
-        trainset = row["trainset"] if late in {None, "own"} else f"{row['trainset']} ({late})"
+        trainset = row["trainset"] if late in {None, "own"} else f"{row['trainset']} ({retell(str(late))})"
         where = f"{row['line']} {row['origin']} – {row['destination']}"
-        outcome = row["outcome"] + (f": {row['error']}" if row["error"] else "")
+        outcome = retell(row["outcome"]) + (f": {row['error']}" if row["error"] else "")
         return {
             **{column.name: row.get(column.name) for column in ROWS},
             "id": row["row"],
-            "words": f"{where} · {trainset} {row['load']} · {row['time']}",
+            "words": f"{where} · {trainset} {row['load']} · {retell(str(row['time']))}",
             "link": f"/?campaign={self.campaign}&row={row['row']}",
             "outcome": ("✓ " if row["success"] else "✗ ") + outcome,
             "style": "mp-pass" if row["success"] else "mp-fail",
@@ -226,7 +238,7 @@ class CampaignsPage:
         """Stop the campaign after the rows that are being computed."""
         with self.problem.show_errors():
             self.service.stop(self.campaign)
-            self.state.text += " · stops after the rows that are being computed"
+            self.state.text += " · " + _("stops after the rows that are being computed")
 
     async def resume(self) -> None:
         """Resume the campaign with the rows that are missing."""
@@ -251,29 +263,31 @@ class CampaignForm:
         lines = {row["id"]: row["name"] for row in catalogue.line_rows(self.service)}
         trainsets = {row["id"]: row["name"] for row in catalogue.trainset_rows(self.service)}
         drivers = [name for name in DRIVERS.ids() if name != "learned"]
-        said = "The fields write the file below; more of it can be written there by hand."
-        with card("Declare", said, late=True):
+        said = _("The fields write the file below; more of it can be written there by hand.")
+        with card(_("Declare"), said, late=True):
             self.problem = Problem()
-            self.name = ui.input("Name", value="mine", on_change=self.write)
-            self.drivers = ui.select(drivers, value=["optimal", "manual"], label="Drivers", multiple=True)
-            self.line = ui.select(lines, value="yizhuang", label="Line", on_change=self.change_line)
-            self.origin = ui.select({}, label="From")
-            self.destination = ui.select({}, label="To")
-            self.trainset = ui.select(trainsets, value=["dkz32"], label="Trainsets", multiple=True)
-            self.loads = ui.input("Loads, separated by commas, or all", value="AW2", on_change=self.write)
+            self.name = ui.input(_("Name"), value="mine", on_change=self.write)
+            self.drivers = ui.select(drivers, value=["optimal", "manual"], label=_("Drivers"), multiple=True)
+            self.line = ui.select(lines, value="yizhuang", label=_("Line"), on_change=self.change_line)
+            self.origin = ui.select({}, label=_("From"))
+            self.destination = ui.select({}, label=_("To"))
+            self.trainset = ui.select(trainsets, value=["dkz32"], label=_("Trainsets"), multiple=True)
+            self.loads = ui.input(_("Loads, separated by commas, or all"), value="AW2", on_change=self.write)
             self.times = ui.input(
-                "Times: planned, or over the minimum, separated by commas", value="1.2", on_change=self.write
+                _("Times: planned, or over the minimum, separated by commas"),
+                value="1.2",
+                on_change=self.write,
             )
-            self.seeds = ui.number("Seeds", value=1, step=1, on_change=self.write)
+            self.seeds = NumberField(_("Seeds"), value=1, step=1, on_change=self.write)
             for field in (self.drivers, self.origin, self.destination, self.trainset):
                 field.on_value_change(self.write)
-            with ui.expansion("Disturbance").props("dense").classes("mp-soft") as fold:
-                ui.label("A number, or two separated by … to draw between.").classes("mp-soft")
+            with ui.expansion(_("Disturbance")).props("dense").classes("mp-soft") as fold:
+                ui.label(_("A number, or two separated by … to draw between.")).classes("mp-soft")
                 self.drawn = {}
                 for name, spec in field_specs(Disturbance).items():
                     if spec.label and spec.range is not None:
                         unit = f" ({spec.unit})" if spec.unit and spec.unit != "1" else ""
-                        self.drawn[name] = ui.input(f"{spec.label}{unit}", on_change=self.write)
+                        self.drawn[name] = ui.input(f"{_(spec.label)}{unit}", on_change=self.write)
             named = {"name": self.name, "matrix.drivers": self.drivers, "matrix.sections": self.line}
             named |= {
                 "matrix.trainsets": self.trainset,
@@ -289,12 +303,12 @@ class CampaignForm:
                 field.props("outlined dense options-dense").classes("w-full")
             for field in (self.drivers, self.trainset):
                 field.props("use-chips")
-            shipped = ui.select(list(shipped_campaigns()), label="Start from a shipped one")
+            shipped = ui.select(list(shipped_campaigns()), label=_("Start from a shipped one"))
             shipped.props("outlined dense options-dense").classes("w-full")
             shipped.on_value_change(lambda event: self.take(event.value))
-            self.text = ui.textarea("Campaign (TOML)").props("outlined dense autogrow")
+            self.text = ui.textarea(_("Campaign (TOML)")).props("outlined dense autogrow")
             self.text.classes("w-full mp-code").props('data-test="toml"')
-            ActionButton("Start", icon="play_arrow", on_click=self.submit).props(
+            ActionButton(_("Start"), icon="play_arrow", on_click=self.submit).props(
                 'unelevated data-test="start"'
             )
         self.change_line()
@@ -303,7 +317,7 @@ class CampaignForm:
         """Offer the stations of the line; without ends every section both ways."""
         stops = names(catalogue.line_out(self.service, self.line.value)["stops"])
         for field in (self.origin, self.destination):
-            field.set_options({"": "every section, both ways", **stops}, value="")
+            field.set_options({"": _("every section, both ways"), **stops}, value="")
         self.write()
 
     def take(self, name: str) -> None:
@@ -315,8 +329,8 @@ class CampaignForm:
         section = self.line.value
         if self.origin.value and self.destination.value:
             section += f" {self.origin.value} {self.destination.value}"
-        loads = [word.strip() for word in str(self.loads.value or "all").split(",") if word.strip()]
-        times = [word.strip() for word in str(self.times.value or "planned").split(",") if word.strip()]
+        loads = split_list(str(self.loads.value or "all"))
+        times = split_list(str(self.times.value or "planned"))
         lines = [
             f"name = {json.dumps(self.name.value or '')}",
             "",
@@ -351,8 +365,8 @@ class CampaignForm:
 def _number(text: str) -> str:
     """A number as TOML has it; anything else as text."""
     try:
-        return repr(float(text))
-    except ValueError:
+        return repr(parse_number(text))
+    except InputError:
         return json.dumps(text)
 
 

@@ -25,20 +25,22 @@ from metropilot.web.pages.plots import blank, compare_figure, front_figure
 from metropilot.web.schemas.requests import CompareIn
 from metropilot.web.service import Service
 from metropilot.web.store import JobRow
+from metropilot.web.words.language import N_, _
+from metropilot.web.words.said import retell
 
 SHOWN = (
-    ("time_error_s", "time (s)", 1.0, 2),
-    ("stopping_error_m", "stop (cm)", 100.0, 1),
-    ("energy_wheel_kwh", "wheel (kWh)", 1.0, 2),
-    ("energy_line_kwh", "line (kWh)", 1.0, 2),
-    ("optimality_gap_percent", "gap (%)", 1.0, 2),
-    ("trainset_gap_percent", "trainset (%)", 1.0, 2),
-    ("driver_gap_percent", "driver (%)", 1.0, 2),
-    ("max_jerk_mps3", "jerk (m/s³)", 1.0, 2),
+    ("time_error_s", N_("time (s)"), 1.0, 2),
+    ("stopping_error_m", N_("stop (cm)"), 100.0, 1),
+    ("energy_wheel_kwh", N_("wheel (kWh)"), 1.0, 2),
+    ("energy_line_kwh", N_("line (kWh)"), 1.0, 2),
+    ("optimality_gap_percent", N_("gap (%)"), 1.0, 2),
+    ("trainset_gap_percent", N_("trainset (%)"), 1.0, 2),
+    ("driver_gap_percent", N_("driver (%)"), 1.0, 2),
+    ("max_jerk_mps3", N_("jerk (m/s³)"), 1.0, 2),
     ("comfort_huang2025", "Σ|Δu|", 1.0, 2),
-    ("regime_switches", "switches", 1.0, 0),
-    ("interventions", "interventions", 1.0, 0),
-    ("decision_time_us_median", "decision (µs)", 1.0, 0),
+    ("regime_switches", N_("switches"), 1.0, 0),
+    ("interventions", N_("interventions"), 1.0, 0),
+    ("decision_time_us_median", N_("decision (µs)"), 1.0, 0),
 )
 UNJUDGED = ("decision_time_us_median", "trainset_gap_percent")
 POLL_S = 0.4
@@ -62,31 +64,33 @@ class ComparePage:
 
     def build(self) -> None:
         """Build the fields on the left and the results on the right."""
-        with ui.element("div").classes("mp-col"), card("Run"):
+        with ui.element("div").classes("mp-col"), card(_("Run")):
             self.form.build()
             drivers = driver_names(self.service)
             wanted = ("optimal", "manual", "flat_out") if self.driver is None else ("optimal", self.driver)
             chosen = [name for name in wanted if name in drivers]
-            self.drivers = ui.select(drivers, value=chosen, label="Drivers", multiple=True)
+            self.drivers = ui.select(drivers, value=chosen, label=_("Drivers"), multiple=True)
             self.drivers.props("outlined dense options-dense use-chips")
             self.form.problem.beside("drivers", self.drivers).props('data-test="drivers"')
             self.form.problem.beside("driver", self.drivers)
-            self.seeds = number_field(CompareIn, "seeds", label="Seeds of each driver", step=1)
+            self.seeds = number_field(CompareIn, "seeds", label=_("Seeds of each driver"), step=1)
             self.form.problem.beside("seeds", self.seeds)
             self.disturbances.build(self.form.problem)
             with ui.element("div").classes("mp-row"):
-                ActionButton("Compare", on_click=self.start).props('unelevated data-test="compare"')
-                self.cancel = ActionButton("Stop", on_click=self.stop).props("outline")
+                ActionButton(_("Compare"), on_click=self.start).props('unelevated data-test="compare"')
+                self.cancel = ActionButton(_("Stop"), on_click=self.stop).props("outline")
             self.status = ui.label("").classes("mp-soft").props('aria-live=polite data-test="status"')
         with ui.element("div").classes("mp-col"):
-            with card("What the next second costs"):
-                self.words = ui.label("Computing the front …").classes("mp-soft").props('data-test="second"')
+            with card(_("What the next second costs")):
+                self.words = (
+                    ui.label(_("Computing the front …")).classes("mp-soft").props('data-test="second"')
+                )
                 self.front_plot = ui.plotly(blank(380)).classes("mp-plot")
                 self.front_plot.props('data-test="front"')
-            with card("Drivers against each other"):
+            with card(_("Drivers against each other")):
                 self.result = ui.element("div").classes("mp-stack").props('data-test="result"')
                 with self.result:
-                    empty("Choose drivers and press Compare.")
+                    empty(_("Choose drivers and press Compare."))
 
     async def load(self) -> None:
         """Load the form of the linked run, then the section; runs once the page is connected."""
@@ -157,9 +161,14 @@ class ComparePage:
         """Show the optimum at a running time, and its slope."""
         energy, second = plan["energy_j"] / J_PER_KWH, plan["second_w"] / 3600
         gap = max(100 * plan["certificate_gap"], 0.001)
-        self.words.text = (
-            f"At {now:.0f} s the optimum needs {energy:.2f} kWh at the wheel (certified within {gap:.3f} %). "
-            f"The next second saves {second:.0f} Wh, {100 * second / 1000 / energy:.1f} %."
+        self.words.text = _(
+            "At {time} s the optimum needs {energy} kWh at the wheel (certified within {gap} %). "
+            "The next second saves {second} Wh, {share} %.",
+            time=f"{now:.0f}",
+            energy=f"{energy:.2f}",
+            gap=f"{gap:.3f}",
+            second=f"{second:.0f}",
+            share=f"{100 * second / 1000 / energy:.1f}",
         )
         if self.front is not None:
             self.front_plot.update_figure(front_figure(self.front, (now, energy), self.entries_on_front()))
@@ -181,7 +190,7 @@ class ComparePage:
     def watch(self) -> None:
         """Follow the job until it is over."""
         self.going = True
-        self.status.text = "queued"
+        self.status.text = _("queued")
         refresh_while(lambda: self.going, POLL_S, self.look)
 
     async def look(self) -> None:
@@ -193,7 +202,7 @@ class ComparePage:
             self.form.problem.show(error)
             return
         said = {"queued": "queued", "running": f"{row.progress:.0%} · {row.words}", "done": "done"}
-        self.status.text = said.get(row.status, f"{row.status}: {row.words}")
+        self.status.text = retell(said.get(row.status, f"{row.status}: {row.words}"))
         if row.status in {"queued", "running"}:
             return
         self.going = False
@@ -233,14 +242,14 @@ def compare_table(entries: list[dict[str, Any]]) -> None:
     """Show a row for each driver; the best that met every requirement is bold in each column."""
     sound = [e for e in entries if e["successes"] == e["seeds"]]
     best = {}
-    for name, *_ in SHOWN:
+    for name, _words, _factor, _digits in SHOWN:
         values = {e["driver"]: abs(e["kpis"][name]["mean"]) for e in sound if e["kpis"].get(name)}
         if len(values) > 1 and name not in UNJUDGED:
             best[name] = min(values, key=lambda d: values[d])
     rows = []
     for entry in entries:
         cells: list[Any] = [entry["driver"], outcome(entry)]
-        for name, _, factor, digits in SHOWN:
+        for name, _words, factor, digits in SHOWN:
             found = entry["kpis"].get(name)
             words = "–" if found is None else number(factor * found["mean"], digits)
             if found is not None and found["high"] > found["low"]:
@@ -249,23 +258,24 @@ def compare_table(entries: list[dict[str, Any]]) -> None:
                 )
             cells.append((words, "best") if best.get(name) == entry["driver"] else words)
         rows.append(cells)
-    columns = ("driver", "outcome", *(words for _, words, _, _ in SHOWN))
-    table(columns, rows, right=range(2, len(columns)), name="Comparison")
-    note = (
+    columns = (_("driver"), _("outcome"), *(_(words) for _name, words, _factor, _digits in SHOWN))
+    table(columns, rows, right=range(2, len(columns)), name=_("Comparison"))
+    note = _(
         "Time and stop are errors; gap: energy above the optimum for the time achieved, split into what "
         "the trainset's actuation costs under protection and what the driver adds. "
         "Bold: best of the drivers that met every requirement."
     )
-    seeds = "" if all(e["seeds"] == 1 for e in entries) else " In brackets: 95 % interval over the seeds."
-    ui.label(note + seeds).classes("mp-soft")
+    seeds = all(e["seeds"] == 1 for e in entries)
+    note += "" if seeds else " " + _("In brackets: 95 % interval over the seeds.")
+    ui.label(note).classes("mp-soft")
 
 
 def outcome(entry: dict[str, Any]) -> tuple[str, str]:
     """Outcome of the drives of one driver, and its style."""
     if entry["successes"] == entry["seeds"]:
-        return ("✓ on time", "mp-pass")
+        return (_("✓ on time"), "mp-pass")
     ended = entry.get("ended", entry["outcomes"])
-    said = {words: ended.count(words) for words in dict.fromkeys(ended)}
+    said = {retell(words): ended.count(words) for words in dict.fromkeys(ended)}
     return ("✗ " + ", ".join(f"{n} {w}" if entry["seeds"] > 1 else w for w, n in said.items()), "mp-fail")
 
 

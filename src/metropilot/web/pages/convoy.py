@@ -29,6 +29,7 @@ from metropilot.web.pages.frame import (
     frame,
     links,
     number,
+    prop_of,
     reads,
     strip,
     table,
@@ -38,25 +39,27 @@ from metropilot.web.pages.strip import section_strip
 from metropilot.web.schemas.requests import ConvoyIn, NewLink
 from metropilot.web.service import Service
 from metropilot.web.store import JobRow
+from metropilot.web.words.language import N_, _, translate_each
+from metropilot.web.words.said import retell
 
 SLOW = 1.35
 """Least running time that is proposed, over the minimum: followers need room for their regulation."""
-PACES = {1: "real time", 2: "2 ×", 5: "5 ×", 10: "10 ×"}
+PACES = {1: N_("real time"), 2: "2 ×", 5: "5 ×", 10: "10 ×"}
 GUARDS = {
-    "coupled": "coupled: brakes controlled",
-    "independent": "independent: declared brakes",
-    "moving_block": "moving block",
-    "none": "none",
+    "coupled": N_("coupled: brakes controlled"),
+    "independent": N_("independent: declared brakes"),
+    "moving_block": N_("moving block"),
+    "none": N_("none"),
 }
 READS = (
-    ("time", "–", "time"),
-    ("speed of the head", "–", "speed"),
-    ("smallest gap now", "–", "gap"),
-    ("smallest gap so far", "–", "least"),
-    ("largest difference", "–", "apart"),
-    ("oldest message", "–", "age"),
-    ("link", "–", "link"),
-    ("protection", "–", "level"),
+    (N_("time"), "–", "time"),
+    (N_("speed of the head"), "–", "speed"),
+    (N_("smallest gap now"), "–", "gap"),
+    (N_("smallest gap so far"), "–", "least"),
+    (N_("largest difference"), "–", "apart"),
+    (N_("oldest message"), "–", "age"),
+    (N_("link"), "–", "link"),
+    (N_("protection"), "–", "level"),
 )
 
 
@@ -74,7 +77,7 @@ class ConvoyPage:
     def build(self) -> None:
         """Build the fields on the left and the results on the right."""
         with ui.element("div").classes("mp-col"):
-            with card("Convoy"):
+            with card(_("Convoy")):
                 self.form.build()
                 problem = self.form.problem
                 followers = list(FOLLOWERS.ids())
@@ -82,20 +85,27 @@ class ConvoyPage:
                     self.count = number_field(ConvoyIn, "trainsets")
                     self.gap = number_field(ConvoyIn, "gap_m")
                 with ui.element("div").classes("mp-row"):
-                    self.head = ui.select(driver_names(self.service), value="optimal", label="Head")
-                    self.follower = ui.select(followers, value="follow_plan", label="Followers")
-                self.guard = ui.select(GUARDS, value="coupled", label="Protection relies on")
+                    self.head = ui.select(driver_names(self.service), value="optimal", label=_("Head"))
+                    self.follower = ui.select(followers, value="follow_plan", label=_("Followers"))
+                self.guard = ui.select(
+                    translate_each(GUARDS), value="coupled", label=_("Protection relies on")
+                )
                 fields = (("trainsets", self.count), ("gap_m", self.gap), ("driver", self.head))
                 for name, element in (*fields, ("follower", self.follower), ("guard", self.guard)):
                     problem.beside(name, element.props("outlined dense options-dense"))
                 self.world.build(problem)
                 with ui.element("div").classes("mp-row"):
-                    self.pace = ui.select(PACES, value=2, label="Pace", on_change=self.change_pace)
+                    self.pace = ui.select(
+                        translate_each(PACES),
+                        value=2,
+                        label=_("Pace"),
+                        on_change=self.change_pace,
+                    )
                     for_users(self.pace).props("outlined dense")
-                    ActionButton("Depart", icon="play_arrow", on_click=self.depart).props(
+                    ActionButton(_("Depart"), icon="play_arrow", on_click=self.depart).props(
                         'unelevated data-test="depart"'
                     )
-                    ActionButton("Stop", on_click=self.stop).props("outline")
+                    ActionButton(_("Stop"), on_click=self.stop).props("outline")
             self.build_link()
         with ui.element("div").classes("mp-col"):
             self.root = (
@@ -103,19 +113,22 @@ class ConvoyPage:
             )
             with self.root, ui.element("div").classes("mp-stack"):
                 with ui.element("div").classes("mp-row items-center"):
-                    ui.label("Live convoy").classes("mp-h").props("role=heading aria-level=2")
-                    self.status = ui.label("not departed").classes("mp-soft")
+                    ui.label(_("Live convoy")).classes("mp-h").props("role=heading aria-level=2")
+                    self.status = ui.label(_("not departed")).classes("mp-soft")
                     self.status.props('data-mp="status" aria-live=polite')
-                self.strip = strip("Section")
+                self.strip = strip(_("Section"))
                 reads(READS)
                 self.plot = ui.plotly(convoy_figure()).classes("mp-plot")
-                ui.element("ul").classes("mp-log").props('data-mp="log" aria-live=polite aria-label="Events"')
+                log = ui.element("ul").classes("mp-log").props('data-mp="log" aria-live=polite')
+                log.props(prop_of("aria-label", _("Events")))
                 self.result = ui.element("div").classes("mp-stack").props('data-test="result"')
             self.root.on("mp-result", self.show_result, ["detail"])
 
     def build_link(self) -> None:
         """Build the fields of the link."""
-        with card("The link", "From each trainset to the one behind it; changes act at once.", late=True):
+        with card(
+            _("The link"), _("From each trainset to the one behind it; changes act at once."), late=True
+        ):
             self.news = Problem()
             with ui.element("div").classes("mp-row"):
                 self.delay = number_field(NewLink, "delay_s")
@@ -128,13 +141,13 @@ class ConvoyPage:
                 ):
                     self.news.beside(name, element.props("outlined dense"))
                     self.form.problem.beside(f"link_{name}", element)
-            self.silent = ui.switch("Silent: nothing arrives", on_change=self.relink).props(
+            self.silent = ui.switch(_("Silent: nothing arrives"), on_change=self.relink).props(
                 'data-test="silent"'
             )
             for_users(self.silent)
             with ui.element("div").classes("mp-row"):
-                ActionButton("Set the link", on_click=self.relink).props('outline data-test="relink"')
-                brake = ActionButton("Head: emergency brake", on_click=self.brake).props(
+                ActionButton(_("Set the link"), on_click=self.relink).props('outline data-test="relink"')
+                brake = ActionButton(_("Head: emergency brake"), on_click=self.brake).props(
                     "outline color=negative"
                 )
                 brake.props('data-test="emergency"')
@@ -157,7 +170,8 @@ class ConvoyPage:
         elif (found := self.service.store.result(row.id)) is not None:
             self.show_over(row, found)
         else:
-            self.form.problem.label.text = f"{row.id}: {row.status}; {row.words or 'its record was not kept'}"
+            told = f"{row.status}; {row.words or 'its record was not kept'}"
+            self.form.problem.label.text = f"{row.id}: {retell(told)}"
 
     def restore(self, row: JobRow) -> None:
         """Fill the form with the request of a convoy.
@@ -191,7 +205,7 @@ class ConvoyPage:
         if self.form.section is None:
             return
         length = catalogue.trainset_out(self.service, self.form.trainset_in.value)["length_m"]
-        count, gap = int(self.count.value or 2), float(self.gap.value or 0.0)
+        count, gap = int(self.count.number or 2), self.gap.number or 0.0
         self.strip.content = section_strip(self.form.section, 0.0, count * (length + gap))
 
     def live(self) -> Any:  # noqa: ANN401 (a session or None)
@@ -235,7 +249,7 @@ class ConvoyPage:
         """Connect the browser to the stream."""
         self.result.clear()
         with self.result:
-            ui.label("KPIs of every trainset when all have stopped.").classes("mp-soft")
+            ui.label(_("KPIs of every trainset when all have stopped.")).classes("mp-soft")
         ui.run_javascript(f"metropilotConvoy('c{self.root.id}', {run!r}, {self.plot.id}, {count - 1})")
 
     async def ask(self, event: dict[str, Any]) -> None:
@@ -293,7 +307,7 @@ class ConvoyPage:
         """Show a stored convoy."""
         self.plot.update_figure(finished_convoy_figure(found))
         self.root.props(f"data-status={row.status}")
-        self.status.text = "all stopped"
+        self.status.text = _("all stopped")
         self.show_tables(row.id, found)
 
 
@@ -301,6 +315,7 @@ def member_outcome(member: dict[str, Any]) -> tuple[str, str]:
     """Outcome of one trainset with the requirements that it failed, and its style."""
     failed = member.get("failed", ())
     words = ": ".join([member["outcome"].replace("_", " "), *([", ".join(failed)] if failed else [])])
+    words = retell(words)
     return (f"✗ {words}", "mp-fail") if failed else (f"✓ {words}", "mp-pass")
 
 
@@ -308,14 +323,19 @@ def joint_energy(kpis: dict[str, Any]) -> str:
     """Energy of the convoy against its joint optimum, in words."""
     energy, optimum = number(kpis["energy_wheel_kwh"]), number(kpis["joint_optimal_energy_kwh"])
     above = number(kpis["joint_gap_percent"], 1)
-    return f"{energy} kWh at the wheel, {above} % above the joint optimum of {optimum} kWh"
+    return _(
+        "{energy} kWh at the wheel, {above} % above the joint optimum of {optimum} kWh",
+        energy=energy,
+        above=above,
+        optimum=optimum,
+    )
 
 
 def members_table(trainsets: list[dict[str, Any]]) -> None:
     """Show a row for each trainset."""
     rows = [
         (
-            "head" if t["number"] == 1 else str(t["number"]),
+            _("head") if t["number"] == 1 else str(t["number"]),
             t["driver"],
             member_outcome(t),
             number(t["running_time_s"], 1),
@@ -338,21 +358,21 @@ def members_table(trainsets: list[dict[str, Any]]) -> None:
         for t in trainsets
     ]
     columns = (
-        "trainset",
-        "driver",
-        "outcome",
-        "time (s)",
-        "stop (cm)",
-        "jerk (m/s³)",
-        "wheel (kWh)",
-        "optimum (kWh)",
-        "gap min (m)",
-        "gap max (m)",
-        "gap error (m)",
-        "difference (km/h)",
-        "interventions",
+        _("trainset"),
+        _("driver"),
+        _("outcome"),
+        _("time (s)"),
+        _("stop (cm)"),
+        _("jerk (m/s³)"),
+        _("wheel (kWh)"),
+        _("optimum (kWh)"),
+        _("gap min (m)"),
+        _("gap max (m)"),
+        _("gap error (m)"),
+        _("difference (km/h)"),
+        _("interventions"),
     )
-    table(columns, rows, right=range(3, 13), name="Trainsets")
+    table(columns, rows, right=range(3, 13), name=_("Trainsets"))
 
 
 def install(service: Service) -> None:

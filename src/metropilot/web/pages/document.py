@@ -9,15 +9,96 @@ from typing import Any, NamedTuple
 from nicegui import events, ui
 
 from metropilot.errors import InputError
-from metropilot.web.pages.frame import Problem, card
+from metropilot.web.pages.frame import Problem, allowed_words, card, prop_of
+from metropilot.web.pages.numbers import parse_number, split_list
+from metropilot.web.words.language import ENGLISH, N_, _, present_language
+from metropilot.web.words.said import retell
 
 HEADER = ("name", "id")
-TITLES = {
-    "speed_limits": "Speed limits",
-    "electric_brake": "Electric brake",
-    "friction_brake": "Friction brake",
-    "movement_authority": "Movement authority",
+NAMES = {
+    name: message
+    for message in (
+        N_("Line"),
+        N_("Trainset"),
+        N_("Stations"),
+        N_("Speed limits"),
+        N_("Gradients"),
+        N_("Curves"),
+        N_("Tunnel"),
+        N_("Timetable"),
+        N_("Movement authority"),
+        N_("Mass"),
+        N_("Length"),
+        N_("Resistance"),
+        N_("Traction"),
+        N_("Electric brake"),
+        N_("Friction brake"),
+        N_("Limits"),
+        N_("Energy"),
+        N_("Actuation"),
+        N_("Notches"),
+        N_("Code"),
+        N_("Name"),
+        N_("Position"),
+        N_("Pinyin"),
+        N_("Local name"),
+        N_("From"),
+        N_("Start"),
+        N_("End"),
+        N_("Gradient"),
+        N_("Radius"),
+        N_("Cross section"),
+        N_("Speed"),
+        N_("Force"),
+        N_("Load"),
+        N_("Constant"),
+        N_("Linear"),
+        N_("Quadratic"),
+        N_("Cubic"),
+        N_("Power"),
+        N_("Cap"),
+        N_("Forward"),
+        N_("Backward"),
+        N_("Dwell"),
+        N_("Distance"),
+        N_("Release speed"),
+        N_("Rotating fraction"),
+        N_("Service deceleration"),
+        N_("Max speed"),
+        N_("Max acceleration"),
+        N_("Max deceleration"),
+        N_("Adhesion"),
+        N_("Braking"),
+        N_("Receptivity"),
+        N_("Auxiliary"),
+        N_("Delay"),
+        N_("Lag"),
+        N_("Jerk limit"),
+        N_("Vehicles"),
+        N_("Table"),
+        N_("Pieces"),
+        N_("List"),
+        N_("Davis"),
+        N_("Loads"),
+        N_("Source"),
+        N_("Altitude"),
+        N_("Body"),
+        N_("Buildup"),
+        N_("Couplers"),
+        N_("Curve formula"),
+        N_("Damping"),
+        N_("Emergency deceleration"),
+        N_("Emergency jerk"),
+        N_("Gravity"),
+        N_("Levels"),
+        N_("Protection"),
+        N_("Reaction"),
+        N_("Stiffness"),
+        N_("Values"),
+    )
+    for name in (message.lower().replace(" ", "_"),)
 }
+"""Blocks, fields and columns of a document in words; another one is shown as its file has it."""
 OPTIONAL: dict[str, dict[str, dict[str, str]]] = {
     "line": {
         "timetable": {"forward": "s", "backward": "s", "dwell": "s"},
@@ -40,12 +121,16 @@ STATION = ("code", "name", "position", "pinyin", "local_name")
 PIECE = ("from", "constant", "linear", "quadratic", "cubic", "power", "cap")
 UNITS_OF = {"mass": "loads", "from": "speed", "constant": "force", "cap": "force"}
 """Key of the units table under which the unit of a column stands, where it is not its own name."""
+TEXTS = ("code", "name", "pinyin", "local_name", "load")
+"""Columns of texts, which may look like numbers."""
 UNITLESS = ("code", "name", "pinyin", "local_name", "load", "linear", "quadratic", "cubic", "vehicles")
 
 
 TYPED = "(e) => emit(e.target.value)"
 PASTED = """(e) => { const text = e.clipboardData.getData('text/plain');
     if (/[\\t\\n]/.test(text)) { e.preventDefault(); emit(text); } }"""
+MARKED = frozenset(".,，．。eE")
+"""Marks of a number that is written as one with decimals."""
 LONGEST_PASTE = 2000
 """Rows of a paste that are taken."""
 
@@ -64,18 +149,27 @@ class FieldGrid(NamedTuple):
     put: Callable[[list[list[Any]]], Any]
 
 
+def show_name(key: str, other: str | None = None) -> str:
+    """Name of a block, field or column in words.
+
+    Args:
+        key: Name in the file.
+        other: Words in English, where they are not the name with a capital.
+    """
+    if other is not None and present_language() == ENGLISH:
+        return other
+    found = NAMES.get(key)
+    return key.replace("_", " ").capitalize() if found is None else _(found)
+
+
 def parse(text: str) -> Any:  # noqa: ANN401 (a value of TOML)
     """Value of a cell or field: a number where it reads as one, else text; None if it is empty."""
     text = text.strip()
-    plain = text.replace("−", "-").replace(" ", "")
-    if not text:
-        return None
-    for kind in (int, float):
-        try:
-            return kind(plain)
-        except ValueError:
-            continue
-    return text
+    try:
+        found = parse_number(text)
+    except InputError:
+        return text  # the loader says what is wrong with it, and where
+    return found if found is None or not found.is_integer() or set(text) & MARKED else int(found)
 
 
 def format_value(value: object) -> str:
@@ -160,6 +254,8 @@ class RowTable:
         self, path: str, grid: FieldGrid, labels: Sequence[str], edit: Callable[[Callable[[], object]], None]
     ) -> None:
         self.path, self.grid, self.labels, self.edit = path, grid, labels, edit
+        block, _dot, key = path.partition(".")
+        self.title = path if present_language() == ENGLISH else f"{show_name(block)} · {show_name(key)}"
 
     def build(self) -> None:
         """Place the table."""
@@ -169,7 +265,7 @@ class RowTable:
     def fill(self) -> None:
         """Place heading and rows anew."""
         self.place.clear()
-        with self.place, ui.element("table").classes("mp-grid").props(f'aria-label="{self.path}"'):
+        with self.place, ui.element("table").classes("mp-grid").props(prop_of("aria-label", self.title)):
             with ui.element("thead"), ui.element("tr"):
                 for label in self.labels:
                     with ui.element("th"):
@@ -187,19 +283,30 @@ class RowTable:
                     made = ui.element("input")
                     # "value" would be set anew whenever anything on the page changes, over what is typed
                     made.props["defaultValue"] = format_value(cell)
-                    made.props["aria-label"] = f"{self.path} row {k + 1} {self.grid.columns[j]}"
+                    made.props["aria-label"] = _(
+                        "{table} row {number} {column}",
+                        table=self.title,
+                        number=k + 1,
+                        column=show_name(self.grid.columns[j], self.grid.columns[j]),
+                    )
                     made.on("input", partial(self.type, k, j), js_handler=TYPED, throttle=0.15)
                     made.on("paste", partial(self.paste, k, j), js_handler=PASTED)
             with ui.element("td").classes("mp-grid-do"):
                 more = ui.button(icon="add", on_click=partial(self.add, k)).props("flat dense round size=xs")
-                more.props(f'aria-label="Add a row after row {k + 1} of {self.path}"')
+                words = _("Add a row after row {number} of {table}", number=k + 1, table=self.title)
+                more.props(prop_of("aria-label", words))
                 less = ui.button(icon="remove", on_click=partial(self.remove, k)).props("flat dense round")
-                less.props(f'size=xs aria-label="Remove row {k + 1} of {self.path}"')
+                words = _("Remove row {number} of {table}", number=k + 1, table=self.title)
+                less.props("size=xs").props(prop_of("aria-label", words))
                 less.set_enabled(len(self.grid.rows) > 1)
 
     def type(self, k: int, j: int, event: events.GenericEventArguments) -> None:
         """Take what stands in a cell."""
-        self.edit(lambda: self.grid.rows[k].__setitem__(j, parse(str(event.args))))
+        self.edit(lambda: self.grid.rows[k].__setitem__(j, self.value(j, str(event.args))))
+
+    def value(self, j: int, text: str) -> Any:  # noqa: ANN401 (a value of TOML)
+        """Value of a cell of a column; None if it is empty."""
+        return text.strip() or None if self.grid.columns[j] in TEXTS else parse(text)
 
     def add(self, k: int) -> None:
         """Add a copy of a row after it."""
@@ -221,7 +328,7 @@ class RowTable:
                 if k + down == len(rows):
                     rows.append([None] * width)
                 for right, cell in enumerate(line[: width - j]):
-                    rows[k + down][j + right] = parse(cell)
+                    rows[k + down][j + right] = self.value(j + right, cell)
 
         self.edit(act)
         self.fill()
@@ -251,10 +358,10 @@ class DocumentForm:
     def build(self) -> None:
         """Place a card for the header and each block."""
         self.tables = {}
-        with card(self.kind.capitalize()):
+        with card(show_name(self.kind)):
             self.problem = Problem()
             for name in HEADER:
-                self.field(self.document, name, name, "Name" if name == "name" else "Id in results")
+                self.field(self.document, name, name, _("Name") if name == "name" else _("Id in results"))
         optional = OPTIONAL.get(self.kind, {})
         blocks = [name for name, block in self.document.items() if isinstance(block, dict)]
         for name in [*blocks, *(name for name in optional if name not in blocks)]:
@@ -264,17 +371,19 @@ class DocumentForm:
     def block(self, name: str, optional: Mapping[str, str]) -> None:
         """Place a block: its fields in rows, its tables below."""
         block = self.document.get(name, {})
-        with card(TITLES.get(name, name.replace("_", " ").capitalize())):
+        with card(show_name(name)):
             keys = [key for key in block if key not in {"unit", "units", "source"}]
             tables, fields = [], []
             for key in [*keys, *(key for key in optional if key not in keys)]:
                 grid = grid_of(name, key, block.get(key), block.get("units", {}))
                 (tables if grid else fields).append((key, grid))
             with ui.element("div").classes("mp-fields"):
-                for key, _ in fields:
+                for key, _grid in fields:
                     value = block.get(key)
                     if isinstance(value, dict):
-                        ui.label(f"{key}: a table, kept as it is").classes("mp-soft")
+                        ui.label(_("{key}: a table, kept as it is", key=show_name(key, key))).classes(
+                            "mp-soft"
+                        )
                         continue
                     unit = block.get("units", {}).get(key, optional[key]) if key in optional else ""
                     label = self.label({} if isinstance(value, str) else block, key, unit)
@@ -283,14 +392,14 @@ class DocumentForm:
                 if grid:
                     self.table(block, key, f"{name}.{key}", grid)
             if name in self.document:
-                self.field(block, "source", f"{name}.source", "Source")
+                self.field(block, "source", f"{name}.source", _("Source"))
 
     @staticmethod
     def label(block: Mapping[str, Any], key: str, unit: str = "") -> str:
         """Label of a field or column, with its unit in the file."""
         units = block.get("units", {})
         named = units.get(key) or units.get(UNITS_OF.get(key, "")) or block.get("unit") or unit
-        words = key.replace("_", " ").capitalize()
+        words = show_name(key)
         return words if key in UNITLESS or not named or named == "1" else f"{words} ({named})"
 
     def field(
@@ -313,7 +422,7 @@ class DocumentForm:
                         del self.document[name]
                     return
                 if was_list:
-                    into[key] = [parse(part) for part in given.split(",") if part.strip()]
+                    into[key] = [parse(part) for part in split_list(given)]
                 else:
                     into[key] = given if text else parse(given)
                 if unit and "unit" not in into:
@@ -364,6 +473,5 @@ class DocumentForm:
 def describe(error: InputError) -> str:
     """One line about an error: field, value and what is allowed."""
     value = "" if error.value is None else f": {error.value}" + (f" {error.unit}" if error.unit else "")
-    allowed = f" (allowed: {error.allowed})" if error.allowed else ""
     where = f"{error.field}: " if error.field else ""
-    return f"{where}{error.message}{value}{allowed}"
+    return f"{where}{retell(error.message)}{value}{allowed_words(error.allowed)}"

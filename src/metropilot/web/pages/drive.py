@@ -33,6 +33,7 @@ from metropilot.web.pages.frame import (
     frame,
     links,
     number,
+    prop_of,
     reads,
     strip,
     table,
@@ -49,24 +50,32 @@ from metropilot.web.pages.strip import line_strip, section_strip
 from metropilot.web.schemas.requests import LiveIn, NewArrival, NewRestriction
 from metropilot.web.service import RESUMABLE, Service
 from metropilot.web.store import JobRow
+from metropilot.web.words.language import N_, _, translate_each
+from metropilot.web.words.said import retell
 
-PACES = {1: "real time", 2: "2 ×", 5: "5 ×", 10: "10 ×", 30: "30 ×"}
+PACES = {1: N_("real time"), 2: "2 ×", 5: "5 ×", 10: "10 ×", 30: "30 ×"}
 READS = (
-    ("speed", "–", "speed"),
-    ("permitted", "–", "permitted"),
-    ("to the stop", "–", "distance"),
-    ("time", "–", "time"),
-    ("scheduled", "–", "scheduled"),
-    ("command", "–", "command"),
-    ("power at the line", "–", "power"),
-    ("energy at the wheel", "–", "energy"),
-    ("against the plan", "–", "against"),
-    ("protection", "–", "level"),
+    (N_("speed"), "–", "speed"),
+    (N_("permitted"), "–", "permitted"),
+    (N_("to the stop"), "–", "distance"),
+    (N_("time"), "–", "time"),
+    (N_("scheduled"), "–", "scheduled"),
+    (N_("command"), "–", "command"),
+    (N_("power at the line"), "–", "power"),
+    (N_("energy at the wheel"), "–", "energy"),
+    (N_("against the plan"), "–", "against"),
+    (N_("protection"), "–", "level"),
 )
 STRONGEST = 3
 """Features of a decision that are shown."""
 TAKEN = ("trajectory.csv", "kpis.json", "explanation.json", "profile.svg", "run.zip")
-KEYS = (("M", "take"), ("↑ ↓", "10 % more, less"), ("0", "coast"), ("B", "full brake"), ("Esc", "give back"))
+KEYS = (
+    ("M", N_("take")),
+    ("↑ ↓", N_("10 % more, less")),
+    ("0", N_("coast")),
+    ("B", N_("full brake")),
+    ("Esc", N_("give back")),
+)
 
 
 class DrivePage:
@@ -102,11 +111,11 @@ class DrivePage:
     def build(self) -> None:
         """Build the fields on the left and the results on the right."""
         with ui.element("div").classes("mp-col"):
-            with card("Run"):
+            with card(_("Run")):
                 self.form.build()
                 drivers = driver_names(self.service)
                 first = "optimal" if "optimal" in drivers else next(iter(drivers))
-                self.driver = ui.select(drivers, value=first, label="Driver").props(
+                self.driver = ui.select(drivers, value=first, label=_("Driver")).props(
                     "outlined dense options-dense"
                 )
                 self.form.problem.beside("driver", self.driver)
@@ -116,12 +125,17 @@ class DrivePage:
                 self.say_driver()
                 self.disturbances.build(self.form.problem)
                 with ui.element("div").classes("mp-row"):
-                    self.pace = ui.select(PACES, value=1, label="Pace", on_change=self.change_pace)
+                    self.pace = ui.select(
+                        translate_each(PACES),
+                        value=1,
+                        label=_("Pace"),
+                        on_change=self.change_pace,
+                    )
                     for_users(self.pace).props("outlined dense")
-                    ActionButton("Depart", icon="play_arrow", on_click=self.depart).props(
+                    ActionButton(_("Depart"), icon="play_arrow", on_click=self.depart).props(
                         'unelevated data-test="depart"'
                     )
-                    ActionButton("Stop", on_click=self.stop).props('outline data-test="stop"')
+                    ActionButton(_("Stop"), on_click=self.stop).props('outline data-test="stop"')
                 self.departure = Problem()
                 self.departure.fields, self.departure.folds = (
                     self.form.problem.fields,
@@ -135,22 +149,24 @@ class DrivePage:
             self.root.props(f"data-status={'none' if self.row is None else self.row.status}")
             with self.root, ui.element("div").classes("mp-stack"):
                 with ui.element("div").classes("mp-row items-center"):
-                    ui.label("Live run").classes("mp-h").props("role=heading aria-level=2")
+                    ui.label(_("Live run")).classes("mp-h").props("role=heading aria-level=2")
                     status = ui.label(self.status_words()).classes("mp-soft")
                     status.props('data-mp="status" aria-live=polite')
                     ui.label("").classes("mp-soft").props('data-mp="pace"')
-                    self.resume_button = ActionButton("Resume", icon="replay", on_click=self.resume)
+                    self.resume_button = ActionButton(_("Resume"), icon="replay", on_click=self.resume)
                     self.resume_button.props('outline dense data-test="resume"')
                     self.resume_button.set_visibility(self.resumable())
-                self.strip = strip("Section")
+                self.strip = strip(_("Section"))
                 reads(READS)
                 self.lever()
                 self.plot = ui.plotly(run_figure()).classes("mp-plot")
-                ui.element("ul").classes("mp-log").props('data-mp="log" aria-live=polite aria-label="News"')
+                ui.element("ul").classes("mp-log").props('data-mp="log" aria-live=polite').props(
+                    prop_of("aria-label", _("News"))
+                )
                 self.result = ui.element("div").classes("mp-stack").props('data-test="result"')
             self.why = ui.element("div").classes("mp-col")
             with card():
-                self.map = strip("Whole line")
+                self.map = strip(_("Whole line"))
             self.root.on("mp-result", self.show_result, ["detail"])
             self.root.on("mp-end", self.show_end, ["detail"])
 
@@ -167,45 +183,48 @@ class DrivePage:
         """Status of the linked run."""
         row = self.row
         if row is None:
-            return "not departed"
-        return f"{row.status}: {row.words}" if row.words else row.status
+            return _("not departed")
+        return retell(f"{row.status}: {row.words}" if row.words else row.status)
 
     def lever(self) -> None:
         """Build the lever of manual driving."""
         with ui.element("div").classes("mp-row items-center"):
-            button = ActionButton("Take the lever (M)").props('outline dense no-caps data-mp="take"')
+            button = ActionButton(_("Take the lever (M)")).props('outline dense no-caps data-mp="take"')
             button.on("click", js_handler="() => metropilot.hand()")
-            ui.label("the driver has it").classes("mp-soft").props('data-mp="hand" aria-live=polite')
+            ui.label(_("the driver has it")).classes("mp-soft").props('data-mp="hand" aria-live=polite')
             with ui.element("div").classes("mp-soft gt-xs"):
                 for key, words in KEYS:
                     ui.element("span").classes("mp-key").props["innerText"] = key
-                    ui.element("span").props["innerText"] = f" {words}  "
+                    ui.element("span").props["innerText"] = f" {_(words)}  "
         with ui.element("div").classes("mp-lever"):
-            ui.label("brake")
+            ui.label(_("brake"))
             slider = ui.element("input").props(
-                'type=range min=-1 max=1 step=0.05 value=0 disabled data-mp="slider" aria-label="Lever"'
+                'type=range min=-1 max=1 step=0.05 value=0 disabled data-mp="slider"'
             )
+            slider.props(prop_of("aria-label", _("Lever")))
             slider.on("input", js_handler="(e) => metropilot.slide(e.target.value)")
-            ui.label("power").style("text-align:right")
+            ui.label(_("power")).style("text-align:right")
 
     def build_news(self) -> None:
         """Build the fields of timetable updates."""
-        with card("During the run", "New arrival times and speed restrictions for the driver.", late=True):
+        with card(
+            _("During the run"), _("New arrival times and speed restrictions for the driver."), late=True
+        ):
             self.news = Problem()
             with ui.element("div").classes("mp-row"):
                 self.arrival = number_field(NewArrival, "scheduled_time_s", value=101)
                 self.news.beside("scheduled_time_s", self.arrival)
-                ActionButton("Tell", on_click=self.tell_arrival).props('outline data-test="tell-arrival"')
+                ActionButton(_("Tell"), on_click=self.tell_arrival).props('outline data-test="tell-arrival"')
             with ui.element("div").classes("mp-row"):
-                ActionButton("10 s earlier", on_click=lambda: self.shift(-10)).props("flat dense no-caps")
-                ActionButton("10 s later", on_click=lambda: self.shift(10)).props("flat dense no-caps")
+                ActionButton(_("10 s earlier"), on_click=lambda: self.shift(-10)).props("flat dense no-caps")
+                ActionButton(_("10 s later"), on_click=lambda: self.shift(10)).props("flat dense no-caps")
             with ui.element("div").classes("mp-row"):
                 self.from_m = number_field(NewRestriction, "from_m", value=700)
                 self.to_m = number_field(NewRestriction, "to_m", value=900)
                 self.kmh = number_field(NewRestriction, "limit_mps", value=40)
                 for name, element in (("from_m", self.from_m), ("to_m", self.to_m), ("limit_mps", self.kmh)):
                     self.news.beside(name, element.props("outlined dense"))
-            ActionButton("Add speed restriction", on_click=self.restrict).props(
+            ActionButton(_("Add speed restriction"), on_click=self.restrict).props(
                 'outline data-test="restrict"'
             )
 
@@ -320,7 +339,7 @@ class DrivePage:
         self.resume_button.set_visibility(False)
         self.arrival.value = self.scheduled_s(session)
         with self.result:
-            ui.label("KPIs, passed and failed, when it has stopped.").classes("mp-soft")
+            ui.label(_("KPIs, passed and failed, when it has stopped.")).classes("mp-soft")
         ui.run_javascript(f"metropilot.live('c{self.root.id}', {session.id!r}, {self.plot.id})")
 
     @staticmethod
@@ -419,18 +438,18 @@ class DrivePage:
 def explanation_card(driven: dict[str, Any]) -> None:
     """Show why a drive went as it did: regimes, what bound it, interventions, loss by regime."""
     told, kpis = driven["explanation"], driven["kpis"]
-    with card("Why does it drive so?"):
+    with card(_("Why does it drive so?")):
         ui.label(explain_words(told, kpis)).classes("mp-soft").props('data-test="why"')
         with ui.element("div").classes("mp-links"):
             for regime, colour in REGIME_COLOURS.items():
-                ui.label(regime).classes("mp-swatch").style(f"--mp-swatch: {colour}")
+                ui.label(retell(regime)).classes("mp-swatch").style(f"--mp-swatch: {colour}")
         ui.plotly(explanation_figure(driven)).classes("mp-plot").props('data-test="explanation"')
         rows = [
             (
-                span["regime"],
+                retell(span["regime"]),
                 f"{span['from_m']:.0f} – {span['to_m']:.0f}",
                 f"{span['from_s']:.1f} – {span['to_s']:.1f}",
-                span["bound"],
+                retell(span["bound"]),
                 number(span["energy_wheel_j"] / J_PER_KWH, 2),
                 *(
                     number(None if span[name] is None else span[name] / J_PER_KWH, 3)
@@ -439,11 +458,19 @@ def explanation_card(driven: dict[str, Any]) -> None:
             )
             for span in told["regimes"]
         ]
-        columns = ("regime", "place (m)", "time (s)", "mostly bound by", "energy (kWh)", "trainset", "driver")
-        table(columns, rows, right=(4, 5, 6), name="Regimes")
+        columns = (
+            _("regime"),
+            _("place (m)"),
+            _("time (s)"),
+            _("mostly bound by"),
+            _("energy (kWh)"),
+            _("trainset"),
+            _("driver"),
+        )
+        table(columns, rows, right=(4, 5, 6), name=_("Regimes"))
         hits = [
             (
-                hit["guard"],
+                retell(hit["guard"]),
                 f"{hit['from_m']:.0f} – {hit['to_m']:.0f}",
                 f"{hit['from_s']:.1f} – {hit['to_s']:.1f}",
                 number(KMH_PER_MPS * hit["speed_mps"], 1),
@@ -453,13 +480,23 @@ def explanation_card(driven: dict[str, Any]) -> None:
             for hit in told["interventions"]
         ]
         if hits:
-            columns = ("guard", "place (m)", "time (s)", "speed (km/h)", "permitted", "falls until (m)")
-            table(columns, hits, right=(3, 4, 5), name="Interventions")
+            columns = (
+                _("guard"),
+                _("place (m)"),
+                _("time (s)"),
+                _("speed (km/h)"),
+                _("permitted"),
+                _("falls until (m)"),
+            )
+            table(columns, hits, right=(3, 4, 5), name=_("Interventions"))
         show_prices(told.get("prices", []))
         show_decisions(told.get("decisions", []))
         ui.label(
-            "Trainset and driver: energy (kWh) lost in the regime against the optimal plan, to jerk limit, "
-            "dead time, lag and protection, and to the driver; kinetic energy that is left counts as kept."
+            _(
+                "Trainset and driver: energy (kWh) lost in the regime against the optimal plan, to jerk "
+                "limit, dead time, lag and protection, and to the driver; kinetic energy that is left counts "
+                "as kept."
+            )
         ).classes("mp-soft")
 
 
@@ -473,17 +510,25 @@ def show_prices(prices: list[dict[str, Any]]) -> None:
             number(price["time_s"], 1),
             number(price["second_w"] / J_PER_KWH, 3),
             number(price["later_j"] / J_PER_KWH, 3),
-            "not possible" if price["sooner_j"] is None else number(price["sooner_j"] / J_PER_KWH, 3),
+            _("not possible") if price["sooner_j"] is None else number(price["sooner_j"] / J_PER_KWH, 3),
         )
         for price in prices
     ]
-    columns = ("place (m)", "time (s)", "price (kWh/s)", "+1 s saves (kWh)", "−1 s costs (kWh)")
+    columns = (
+        _("place (m)"),
+        _("time (s)"),
+        _("price (kWh/s)"),
+        _("+1 s saves (kWh)"),
+        _("−1 s costs (kWh)"),
+    )
     with ui.element("div").classes("mp-gridbox w-full").props("tabindex=0"):
-        table(columns, rows, right=range(5), name="Worth of a second")
+        table(columns, rows, right=range(5), name=_("Worth of a second"))
     ui.label(
-        "Worth of a second: energy of the optimal plan from that position and speed to the stop, if it "
-        "arrives a second later or sooner than the drive. While it can only coast and brake, a second "
-        "more saves nothing."
+        _(
+            "Worth of a second: energy of the optimal plan from that position and speed to the stop, if it "
+            "arrives a second later or sooner than the drive. While it can only coast and brake, a second "
+            "more saves nothing."
+        )
     ).classes("mp-soft")
 
 
@@ -497,18 +542,21 @@ def show_decisions(decisions: list[dict[str, Any]]) -> None:
             number(decision["time_s"], 1),
             number(decision["output"] - decision["usual"], 2),
             "; ".join(
-                f"{share['words']} {'+' if share['share'] >= 0 else ''}{number(share['share'])}"
+                f"{retell(share['words'])} {'+' if share['share'] >= 0 else ''}{number(share['share'])}"
                 for share in decision["shares"][:STRONGEST]
             ),
         )
         for decision in decisions
     ]
-    columns = ("place (m)", "time (s)", "in all", "strongest features")
+    columns = (_("place (m)"), _("time (s)"), _("in all"), _("strongest features"))
     with ui.element("div").classes("mp-gridbox w-full").props("tabindex=0"):
-        table(columns, rows, right=(0, 1, 2), name="Strongest features")
+        table(columns, rows, right=(0, 1, 2), name=_("Strongest features"))
     ui.label(
-        f"Strongest features of the learned driver: how far each speaks for {decisions[0]['meaning']} "
-        "(negative: against it), compared with what the driver saw on the average of this drive."
+        _(
+            "Strongest features of the learned driver: how far each speaks for {meaning} (negative: against "
+            "it), compared with what the driver saw on the average of this drive.",
+            meaning=retell(decisions[0]["meaning"]),
+        )
     ).classes("mp-soft")
 
 
@@ -519,61 +567,84 @@ def explain_words(told: dict[str, Any], kpis: dict[str, Any]) -> str:
     for span in told["bounds"]:
         times[span["bound"]] = times.get(span["bound"], 0.0) + span["to_s"] - span["from_s"]
     parts = [
-        f"{words} {100 * time_s / whole:.0f} %"
+        f"{retell(words)} {100 * time_s / whole:.0f} %"
         for words, time_s in sorted(times.items(), key=lambda item: -item[1])
         if time_s >= 0.005 * whole > 0
     ]
-    said = f"Bound by {', '.join(parts)} of the time."
+    said = [_("Bound by {parts} of the time.", parts=", ".join(parts))]
     lost = [span for span in told["regimes"] if span["driver_loss_j"] is not None]
     if lost and kpis["optimal_energy_kwh"] is not None:
         worst = max(lost, key=lambda span: span["driver_loss_j"])
-        gaps = kpis["trainset_gap_percent"], kpis["driver_gap_percent"]
-        said += f" Above the optimum: {gaps[0]:.1f} % trainset, {gaps[1]:.1f} % driver"
-        said += f", most of it in {worst['regime']} from {worst['from_m']:.0f} to {worst['to_m']:.0f} m."
+        said.append(
+            _(
+                "Above the optimum: {trainset} % trainset, {driver} % driver, most of it in {regime} from "
+                "{begin} to {end} m.",
+                trainset=f"{kpis['trainset_gap_percent']:.1f}",
+                driver=f"{kpis['driver_gap_percent']:.1f}",
+                regime=retell(worst["regime"]),
+                begin=f"{worst['from_m']:.0f}",
+                end=f"{worst['to_m']:.0f}",
+            )
+        )
     count = len(told["interventions"])
-    return said + (f" Protection stepped in {count} times." if count else " Protection never stepped in.")
+    said.append(
+        _("Protection stepped in {count} times.", count=count) if count else _("Protection never stepped in.")
+    )
+    return " ".join(said)
 
 
 def checks_table(checks: list[dict[str, Any]]) -> None:
     """Show the requirements, passed or failed."""
     rows = [
         (
-            c["name"],
-            c["value"],
-            c["wanted"],
-            ("✓ passed", "mp-pass") if c["passed"] else ("✗ failed", "mp-fail"),
+            retell(c["name"]),
+            retell(c["value"]),
+            retell(c["wanted"]),
+            (_("✓ passed"), "mp-pass") if c["passed"] else (_("✗ failed"), "mp-fail"),
         )
         for c in checks
     ]
-    table(("requirement", "measured", "allowed", ""), rows, right=(1,), name="Requirements")
+    table((_("requirement"), _("measured"), _("allowed"), ""), rows, right=(1,), name=_("Requirements"))
 
 
 def kpis_table(k: dict[str, Any]) -> None:
     """Show the main KPIs."""
-    objective = "wheel" if k["energy_objective"] == "wheel" else "line"
+    wheel = k["energy_objective"] == "wheel"
     rows = (
-        ("running time", number(k["running_time_s"], 1, "s"), f"scheduled {k['scheduled_time_s']:g} s"),
-        ("energy at the wheel", number(k["energy_wheel_kwh"], 2, "kWh"), "traction"),
         (
-            "energy at the line",
+            _("running time"),
+            number(k["running_time_s"], 1, "s"),
+            _("scheduled {time} s", time=f"{k['scheduled_time_s']:g}"),
+        ),
+        (_("energy at the wheel"), number(k["energy_wheel_kwh"], 2, "kWh"), _("traction")),
+        (
+            _("energy at the line"),
             number(k["energy_line_kwh"], 2, "kWh"),
-            f"net of {k['energy_regenerated_kwh']:.2f} kWh recovered",
+            _("net of {energy} kWh recovered", energy=f"{k['energy_regenerated_kwh']:.2f}"),
         ),
-        (f"optimum at the {objective}", number(k["optimal_energy_kwh"], 2, "kWh"), "for the time achieved"),
-        ("above the optimum", number(k["optimality_gap_percent"], 2, "%"), ""),
         (
-            "attainable",
-            number(k.get("attainable_energy_kwh"), 2, "kWh"),
-            "with jerk limit, dead time, lag and protection",
+            _("optimum at the wheel") if wheel else _("optimum at the line"),
+            number(k["optimal_energy_kwh"], 2, "kWh"),
+            _("for the time achieved"),
         ),
-        ("lost by the trainset", number(k.get("trainset_gap_percent"), 2, "%"), ""),
-        ("lost by the driver", number(k.get("driver_gap_percent"), 2, "%"), ""),
-        ("highest speed", number(KMH_PER_MPS * k["max_speed_mps"], 1, "km/h"), ""),
-        ("largest jerk", number(k["max_jerk_mps3"], 2, "m/s³"), k["comfort_band"]),
-        ("coasting", number(k["coasting_distance_m"], 0, "m"), f"{k['regime_switches']} changes of regime"),
-        ("decision time", number(k["decision_time_us_median"], 0, "µs"), "median"),
+        (_("above the optimum"), number(k["optimality_gap_percent"], 2, "%"), ""),
+        (
+            _("attainable"),
+            number(k.get("attainable_energy_kwh"), 2, "kWh"),
+            _("with jerk limit, dead time, lag and protection"),
+        ),
+        (_("lost by the trainset"), number(k.get("trainset_gap_percent"), 2, "%"), ""),
+        (_("lost by the driver"), number(k.get("driver_gap_percent"), 2, "%"), ""),
+        (_("highest speed"), number(KMH_PER_MPS * k["max_speed_mps"], 1, "km/h"), ""),
+        (_("largest jerk"), number(k["max_jerk_mps3"], 2, "m/s³"), retell(k["comfort_band"])),
+        (
+            _("coasting"),
+            number(k["coasting_distance_m"], 0, "m"),
+            _("{count} changes of regime", count=k["regime_switches"]),
+        ),
+        (_("decision time"), number(k["decision_time_us_median"], 0, "µs"), _("median")),
     )
-    table(("KPI", "value", ""), rows, right=(1,), name="KPIs")
+    table((_("KPI"), _("value"), ""), rows, right=(1,), name=_("KPIs"))
 
 
 def install(service: Service) -> None:

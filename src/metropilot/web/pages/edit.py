@@ -25,12 +25,14 @@ from metropilot.web.pages.frame import (
     heading,
     links,
     number,
+    prop_of,
     reads,
     strip,
 )
 from metropilot.web.pages.plots import blank, effort_figure, line_figure
 from metropilot.web.pages.strip import line_strip
 from metropilot.web.service import Service
+from metropilot.web.words.language import _
 from metropilot.web.work.plans import effort_curves
 
 LOOK_S = 1.5
@@ -67,7 +69,7 @@ class EditPage:
         if not versions:
             self.saved = None
             self.document["id"] = f"{self.document['id']}{COPIED}"
-            self.document["name"] = f"{self.document['name']} (copy)"
+            self.document["name"] = _("{name} (copy)", name=self.document["name"])
         self.undone: tuple[list[dict[str, Any]], list[dict[str, Any]]] = ([], [])
         self.wrong: InputError | None = None
 
@@ -86,16 +88,16 @@ class EditPage:
             with card():
                 self.title = heading("")
                 with ui.element("div").classes("mp-row items-center"):
-                    self.save_button = ActionButton("Save", on_click=self.save).props(
+                    self.save_button = ActionButton(_("Save"), on_click=self.save).props(
                         'unelevated data-test="save"'
                     )
-                    self.undo_button = ui.button("Undo", on_click=partial(self.step, 0)).props(
+                    self.undo_button = ui.button(_("Undo"), on_click=partial(self.step, 0)).props(
                         'outline data-test="undo"'
                     )
-                    self.redo_button = ui.button("Redo", on_click=partial(self.step, 1)).props(
+                    self.redo_button = ui.button(_("Redo"), on_click=partial(self.step, 1)).props(
                         'outline data-test="redo"'
                     )
-                    ActionButton("Save as a copy", on_click=self.save_copy).props("flat no-caps")
+                    ActionButton(_("Save as a copy"), on_click=self.save_copy).props("flat no-caps")
                 self.problem = Problem()
                 self.status = ui.label("").classes("mp-soft").props('aria-live=polite data-test="status"')
                 self.meanwhile = (
@@ -105,9 +107,9 @@ class EditPage:
                 self.uses = ui.element("div")
             with card():
                 self.numbers = ui.element("div").classes("w-full")
-                self.map = strip("Line as drawn")
+                self.map = strip(_("Line as drawn"))
                 self.plot = ui.plotly(blank(380)).classes("mp-plot").props('data-test="drawing"')
-            with card("Versions"):
+            with card(_("Versions")):
                 self.versions = ui.element("div").classes("mp-stack").props('data-test="versions"')
         self.fill()
         self.list_versions()
@@ -164,17 +166,17 @@ class EditPage:
             self.map.content = line_strip(values)
             self.plot.update_figure(line_figure(values))
             items = [
-                ("stations", str(values["stations"]), ""),
-                ("length", number(values["length_m"] / 1000, 3, "km"), ""),
-                ("highest limit", number(3.6 * max(values["limit_mps"]["value"]), 0, "km/h"), ""),
+                (_("stations"), str(values["stations"]), ""),
+                (_("length"), number(values["length_m"] / 1000, 3, "km"), ""),
+                (_("highest limit"), number(3.6 * max(values["limit_mps"]["value"]), 0, "km/h"), ""),
             ]
         elif self.kind == "trainset" and isinstance(found, Trainset):
             curves = effort_curves(found)
             self.plot.update_figure(effort_figure(curves))
             items = [
-                ("mass", number(found.mass_kg / 1000, 1, "t"), ""),
-                ("starts with", number(curves["acceleration_mps2"][0], 2, "m/s²"), ""),
-                ("brakes with", number(curves["deceleration_mps2"][0], 2, "m/s²"), ""),
+                (_("mass"), number(found.mass_kg / 1000, 1, "t"), ""),
+                (_("starts with"), number(curves["acceleration_mps2"][0], 2, "m/s²"), ""),
+                (_("brakes with"), number(curves["deceleration_mps2"][0], 2, "m/s²"), ""),
             ]
         else:
             raise InputError("another kind of document", field="kind", allowed=self.kind)
@@ -189,12 +191,14 @@ class EditPage:
 
     def show_state(self) -> None:
         """Update title, buttons and the words beside them."""
-        name = f"version {self.version}" if self.version else f"a copy of {self.key}, not saved yet"
+        name = _("a copy of {key}, not saved yet", key=self.key)
+        if self.version:
+            name = _("version {version}", version=self.version)
         self.title.text = f"{self.document.get('name', '')} · {name}"
         self.save_button.set_enabled(self.wrong is None and self.dirty)
         for button, kept in zip((self.undo_button, self.redo_button), self.undone, strict=True):
             button.set_enabled(bool(kept))
-        words = "not saved" if self.dirty else f"saved as version {self.version}"
+        words = _("not saved") if self.dirty else _("saved as version {version}", version=self.version)
         self.status.text = words if self.wrong is None else f"{words}. {describe(self.wrong)}"
         ui.run_javascript(
             f"window.onbeforeunload = {'() => true' if self.dirty and self.version else 'null'}"
@@ -221,7 +225,7 @@ class EditPage:
         """Save as a new entry."""
         with self.problem.show_errors():
             document = deepcopy(self.document)
-            row, _ = await self.service.upload(f"{self.kind}.toml", toml_text(document).encode())
+            row = (await self.service.upload(f"{self.kind}.toml", toml_text(document).encode()))[0]
             self.key, self.version, self.newest, self.saved = row.id, 1, 1, document
             ui.run_javascript(f"history.replaceState(null, '', '/edit?{self.kind}={row.id}')")
             self.show_saved()
@@ -246,18 +250,25 @@ class EditPage:
         self.meanwhile.set_visibility(True)
         with self.meanwhile:
             if not newest:
-                ui.label("This entry was removed elsewhere. Save as a copy keeps what stands here.")
+                ui.label(_("This entry was removed elsewhere. Save as a copy keeps what stands here."))
                 return
             ui.label(
-                f"Version {newest} was saved elsewhere while you edit version {self.version}. What stands "
-                "here is kept; so is that version."
+                _(
+                    "Version {newest} was saved elsewhere while you edit version {version}. What stands here "
+                    "is kept; so is that version.",
+                    newest=newest,
+                    version=self.version,
+                )
             )
             with ui.element("div").classes("mp-row"):
                 mine = ActionButton(
-                    f"Save mine as version {newest + 1}", on_click=partial(self.save_after, newest)
+                    _("Save mine as version {newest}", newest=newest + 1),
+                    on_click=partial(self.save_after, newest),
                 )
                 mine.props('outline dense no-caps data-test="save-mine"')
-                theirs = ui.button(f"Open version {newest}", on_click=partial(self.open_version, newest))
+                theirs = ui.button(
+                    _("Open version {newest}", newest=newest), on_click=partial(self.open_version, newest)
+                )
                 theirs.props('outline dense no-caps data-test="open-theirs"')
 
     async def save_after(self, newest: int) -> None:
@@ -285,17 +296,24 @@ class EditPage:
         with self.uses:
             if self.version:
                 used = f"{self.kind}={self.key}"
-                links([("Drive", f"/?{used}"), ("Compare", f"/compare?{used}"), (f"{self.kind}.toml", path)])
+                links(
+                    [
+                        (_("Drive"), f"/?{used}"),
+                        (_("Compare"), f"/compare?{used}"),
+                        (f"{self.kind}.toml", path),
+                    ]
+                )
         with self.versions:
             if not self.version:
-                empty("No version yet: Save makes the first one.")
+                empty(_("No version yet: Save makes the first one."))
             for row in self.service.store.versions(self.key):
                 with ui.element("div").classes("mp-row items-center no-wrap"):
                     when = row.created.replace("T", " ").removesuffix("+00:00")
                     ui.label(f"{row.number} · {row.name} · {when} UTC").classes("mp-soft grow")
                     ui.link("TOML", f"{path}?version={row.number}", new_tab=True).classes("mp-links")
-                    again = ui.button("Open", on_click=partial(self.open_version, row.number))
-                    again.props(f'flat dense no-caps aria-label="Open version {row.number}"')
+                    again = ui.button(_("Open"), on_click=partial(self.open_version, row.number))
+                    words = _("Open version {version}", version=row.number)
+                    again.props("flat dense no-caps").props(prop_of("aria-label", words))
 
 
 def install(service: Service) -> None:
@@ -312,7 +330,7 @@ def install(service: Service) -> None:
                 key = line or trainset or "yizhuang"
                 page = EditPage(service, "line" if trainset is None else "trainset", key)
             except MetropilotError as error:
-                with card("Edit"):
+                with card(_("Edit")):
                     Problem().show(error)
                 return
             page.build()

@@ -22,6 +22,7 @@ from metropilot.web.pages.frame import (
     heading,
     links,
     number,
+    prop_of,
     reads,
     refresh_while,
     table,
@@ -31,16 +32,18 @@ from metropilot.web.pages.strip import names
 from metropilot.web.schemas.requests import FitIn
 from metropilot.web.service import Service
 from metropilot.web.store import OVER, JobRow
+from metropilot.web.words.language import N_, _, translate_each
+from metropilot.web.words.said import retell
 from metropilot.web.work.drives import FILES
 from metropilot.web.work.plans import LOG
 
 POLL_S = 0.5
 LARGE = 1000.0
-INPUTS = {"": "Command where logged", "command": "Command", "effort": "Effort at the wheel"}
+INPUTS = {"": N_("Command where logged"), "command": N_("Command"), "effort": N_("Effort at the wheel")}
 FORMS = {
-    "auto": "Three coefficients where the logs tell them",
-    "factor": "One factor",
-    "coefficients": "Three coefficients",
+    "auto": N_("Three coefficients where the logs tell them"),
+    "factor": N_("One factor"),
+    "coefficients": N_("Three coefficients"),
 }
 WRAPPED = "white-space: normal; overflow-wrap: anywhere"
 NEW = ""
@@ -67,14 +70,19 @@ class FitPage:
         """Build logs and fields on the left, the result on the right."""
         with ui.element("div").classes("mp-col"):
             most = f"{self.service.settings.log_bytes / 1e6:g} MB"
-            with card("Logs", f"CSV with time, speed and command or effort, units in the header; {most}."):
+            with card(
+                _("Logs"),
+                _("CSV with time, speed and command or effort, units in the header; {most}.", most=most),
+            ):
                 upload = ui.upload(
                     on_upload=self.upload,
-                    on_rejected=lambda: self.say(f"not taken: a .csv file of at most {most}", "mp-error"),
+                    on_rejected=lambda: self.say(
+                        _("not taken: a .csv file of at most {most}", most=most), "mp-error"
+                    ),
                     max_file_size=self.service.settings.log_bytes,
                     multiple=True,
                     auto_upload=True,
-                    label="Choose or drop logs",
+                    label=_("Choose or drop logs"),
                 )
                 self.upload_in = upload.props('accept=".csv" flat bordered').classes("w-full")
                 self.said = ui.element("div").classes("mp-stack").props('role=status data-test="log-said"')
@@ -83,33 +91,43 @@ class FitPage:
         with ui.element("div").classes("mp-col"):
             self.result = ui.element("div").classes("mp-col").props('data-test="result"')
             with self.result, card():
-                empty("Drop logs and fit: the parameters appear here with their intervals.")
+                empty(_("Drop logs and fit: the parameters appear here with their intervals."))
         self.fill_logs()
 
     def build_fields(self) -> None:
         """Place the fields of the fit."""
         trainsets = {row["id"]: row["name"] for row in catalogue.trainset_rows(self.service)}
-        lines = {"": "Level, or a gradient column"}
+        lines = {"": _("Level, or a gradient column")}
         lines |= {row["id"]: row["name"] for row in catalogue.line_rows(self.service)}
         first = next(iter(trainsets)) if self.trainset not in trainsets else str(self.trainset)
-        with card("Fit a trainset", "Mass, service brake, resistance, dead time and lag from its logs."):
+        with card(
+            _("Fit a trainset"), _("Mass, service brake, resistance, dead time and lag from its logs.")
+        ):
             self.problem = Problem()
             self.fields: dict[str, Any] = {
                 "trainset": ui.select(
-                    trainsets, value=first, label="Begin from", on_change=self.change_trainset
+                    trainsets, value=first, label=_("Begin from"), on_change=self.change_trainset
                 ),
-                "load": ui.select(loads(self.service, first), label="Load aboard in the logs"),
-                "line": ui.select(lines, value="", label="Line of the logs", on_change=self.change_line),
-                "origin": ui.select({}, label="From"),
-                "destination": ui.select({}, label="To"),
+                "load": ui.select(loads(self.service, first), label=_("Load aboard in the logs")),
+                "line": ui.select(lines, value="", label=_("Line of the logs"), on_change=self.change_line),
+                "origin": ui.select({}, label=_("From")),
+                "destination": ui.select({}, label=_("To")),
             }
             self.fields["load"].value = next(iter(self.fields["load"].options))
-            with ui.expansion("Input, resistance, kept parameters").props("dense").classes("mp-soft") as fold:
-                self.fields["input"] = ui.select(INPUTS, value="", label="Input of the model")
-                self.fields["resistance"] = ui.select(FORMS, value="auto", label="Resistance")
-                self.keep = ui.select(list(GROUPS), value=[], multiple=True, label="Not estimated").props(
-                    "outlined dense options-dense use-chips"
+            with (
+                ui.expansion(_("Input, resistance, kept parameters"))
+                .props("dense")
+                .classes("mp-soft") as fold
+            ):
+                self.fields["input"] = ui.select(
+                    translate_each(INPUTS), value="", label=_("Input of the model")
                 )
+                self.fields["resistance"] = ui.select(
+                    translate_each(FORMS), value="auto", label=_("Resistance")
+                )
+                self.keep = ui.select(
+                    {name: retell(name) for name in GROUPS}, value=[], multiple=True, label=_("Not estimated")
+                ).props("outlined dense options-dense use-chips")
             for name, field in self.fields.items():
                 field.props("outlined dense options-dense").classes("w-full")
                 self.problem.beside(name, field, fold if name in {"input", "resistance"} else None)
@@ -117,8 +135,10 @@ class FitPage:
             for name in ("origin", "destination"):
                 self.fields[name].bind_visibility_from(self.fields["line"], "value", bool)
             with ui.element("div").classes("mp-row"):
-                self.go = ActionButton("Fit", on_click=self.start).props('unelevated data-test="fit"')
-                self.stop_button = ActionButton("Stop", on_click=self.stop).props('outline data-test="stop"')
+                self.go = ActionButton(_("Fit"), on_click=self.start).props('unelevated data-test="fit"')
+                self.stop_button = ActionButton(_("Stop"), on_click=self.stop).props(
+                    'outline data-test="stop"'
+                )
             self.stop_button.set_visibility(False)
             self.status = ui.label("").classes("mp-soft").props('aria-live=polite data-test="status"')
 
@@ -133,7 +153,7 @@ class FitPage:
             self.say(f"✗ {error}", "mp-error")
             return
         self.chosen.add(row.id)
-        self.say(f"✓ {row.name}: {'; '.join(found['notes'])}", "mp-pass")
+        self.say(f"✓ {row.name}: {retell('; '.join(found['notes']))}", "mp-pass")
         self.fill_logs()
 
     def say(self, words: str, style: str) -> None:
@@ -147,13 +167,14 @@ class FitPage:
         rows = self.service.store.uploads(LOG)
         with self.logs:
             if not rows:
-                empty("No log yet. The trajectory.csv of a run is one.")
+                empty(_("No log yet. The trajectory.csv of a run is one."))
             for row in rows:
                 with ui.element("div").classes("mp-row items-center no-wrap"):
                     tick = ui.checkbox(row.name, value=row.id in self.chosen).classes("grow")
                     tick.on_value_change(partial(self.tick, row.id))
                     forget = ActionButton(icon="delete", on_click=partial(self.forget, row.id))
-                    forget.props(f'flat dense round aria-label="Remove {row.name}"')
+                    forget.props("flat dense round")
+                    forget.props(prop_of("aria-label", _("Remove {name}", name=row.name)))
 
     def tick(self, key: str, event: events.ValueChangeEventArguments) -> None:
         """Choose a log, or leave it out."""
@@ -213,7 +234,7 @@ class FitPage:
         with self.problem.show_errors():
             row = self.service.store.job(self.job)
             self.going = row.status not in OVER
-            self.status.text = f"{row.words} …" if row.status == "running" else row.status
+            self.status.text = f"{retell(row.words)} …" if row.status == "running" else retell(row.status)
             self.stop_button.set_visibility(self.going)
             self.go.set_enabled(not self.going)
             if row.status == "done":
@@ -226,7 +247,7 @@ class FitPage:
     def show_refusal(self, error: MetropilotError) -> None:
         """Show in one line what the logs do not determine."""
         self.result.clear()
-        with self.result, card("Not fitted"):
+        with self.result, card(_("Not fitted")):
             ui.label(str(error)).classes("mp-error").props('role=alert data-test="refusal"')
 
     def show(self, row: JobRow, found: dict[str, Any]) -> None:
@@ -234,24 +255,33 @@ class FitPage:
         self.result.clear()
         with self.result:
             with card():
-                heading(f"{found['trainset']}, load {found['load']}, fitted to {', '.join(found['logs'])}")
+                heading(
+                    _(
+                        "{trainset}, load {load}, fitted to {logs}",
+                        trainset=found["trainset"],
+                        load=found["load"],
+                        logs=", ".join(found["logs"]),
+                    )
+                )
                 reads(
                     [
-                        ("mass", number(found["mass_kg"] / 1000, 1, "t"), ""),
-                        ("residuals", number(found["residual_mps"], 3, "m/s"), ""),
-                        ("samples", str(found["samples"]), ""),
-                        ("runs", str(found["runs"]), ""),
+                        (_("mass"), number(found["mass_kg"] / 1000, 1, "t"), ""),
+                        (_("residuals"), number(found["residual_mps"], 3, "m/s"), ""),
+                        (_("samples"), str(found["samples"]), ""),
+                        (_("runs"), str(found["runs"]), ""),
                     ]
                 )
-                head = ("parameter", "trainset", "estimate", "95 % interval", "unit")
-                for name, title in (("parameters", "Parameters"), ("resistance", "Resistance")):
+                head = (_("parameter"), _("trainset"), _("estimate"), _("95 % interval"), _("unit"))
+                for name, title in (("parameters", _("Parameters")), ("resistance", _("Resistance"))):
                     rows = [_cells(each) for each in found[name]]
                     table(head, rows, right=(1, 2), name=title)
                 self.show_remarks(found)
                 files = [(name, f"/api/jobs/{row.id}/files/{name}") for name in FILES["fit"]]
                 links([*files, ("run.zip", f"/api/jobs/{row.id}/files/run.zip")])
             self.build_save(row)
-            with card("Residuals", "Measured and simulated speed; what remains; how long it stays alike."):
+            with card(
+                _("Residuals"), _("Measured and simulated speed; what remains; how long it stays alike.")
+            ):
                 drawn = residual_figure(found["residuals"], found["residual_mps"])
                 ui.plotly(drawn).classes("mp-plot").props('data-test="residuals"')
 
@@ -260,21 +290,21 @@ class FitPage:
         """Show what the logs do not tell."""
         with ui.element("div").classes("mp-stack").props('data-test="remarks"'):
             for words in found["ambiguities"]:
-                ui.label(words).classes("mp-soft mp-notice")
+                ui.label(retell(words)).classes("mp-soft mp-notice")
             for words in found["notes"]:
-                ui.label(words).classes("mp-soft")
+                ui.label(retell(words)).classes("mp-soft")
 
     def build_save(self, row: JobRow) -> None:
         """Place the fields by which the fitted trainset is saved."""
         own = {each.id: each.name for each in self.service.store.uploads("trainset")}
-        choices = {NEW: "A new trainset"}
-        choices |= {key: f"Next version of {name}" for key, name in own.items()}
+        choices = {NEW: _("A new trainset")}
+        choices |= {key: _("Next version of {name}", name=name) for key, name in own.items()}
         began = row.request["trainset"]
-        with card("Save the trainset"):
+        with card(_("Save the trainset")):
             with ui.element("div").classes("mp-row items-center"):
-                self.target = ui.select(choices, value=began if began in own else NEW, label="Save as")
+                self.target = ui.select(choices, value=began if began in own else NEW, label=_("Save as"))
                 self.target.props("outlined dense options-dense").classes("grow")
-                ActionButton("Save", on_click=self.save).props('unelevated data-test="save"')
+                ActionButton(_("Save"), on_click=self.save).props('unelevated data-test="save"')
             self.save_problem = Problem()
             self.saved = ui.element("div").classes("mp-stack").props('role=status data-test="saved"')
 
@@ -284,10 +314,10 @@ class FitPage:
             key, version = await self.service.save_fit(self.job, self.target.value or None)
             self.saved.clear()
             with self.saved:
-                words = f"✓ {version.name}, version {version.number}"
+                words = _("✓ {name}, version {version}", name=version.name, version=version.number)
                 ui.label(words).classes("mp-pass").style(WRAPPED)
                 used = f"trainset={key}"
-                targets = [("Edit", "/edit"), ("Drive", "/"), ("Compare", "/compare")]
+                targets = [(_("Edit"), "/edit"), (_("Drive"), "/"), (_("Compare"), "/compare")]
                 shown = [(words, f"{path}?{used}") for words, path in targets]
                 links([*shown, ("TOML", f"/api/trainsets/{key}/toml?version={version.number}")])
 
@@ -319,7 +349,8 @@ class FitPage:
 def _cells(p: dict[str, Any]) -> tuple[str, ...]:
     """Row of a parameter."""
     nominal, value, low, high = (_digits(p[name]) for name in ("nominal", "value", "low", "high"))
-    return p["label"], nominal, value, f"{low} to {high}" if p["estimated"] else "kept", p["unit"]
+    interval = _("{low} to {high}", low=low, high=high) if p["estimated"] else _("kept")
+    return retell(p["label"]), nominal, value, interval, p["unit"]
 
 
 def _digits(value: float) -> str:

@@ -15,13 +15,16 @@ from metropilot.evaluate import POLICY, parse_driver, run_fields
 from metropilot.units import KMH_PER_MPS, Unit
 from metropilot.web import catalogue
 from metropilot.web.errors import Refused
-from metropilot.web.pages.frame import Problem, number
+from metropilot.web.pages.frame import Problem, number, prop_of
+from metropilot.web.pages.numbers import NumberField
 from metropilot.web.pages.strip import names
 from metropilot.web.schemas.requests import DriveIn, NewRestriction, PlanIn, RestrictionIn, spec_of
 from metropilot.web.service import Service
+from metropilot.web.words.language import N_, _, translate_each
+from metropilot.web.words.said import retell
 
 SLOWEST = 1.6
-OBJECTIVES = {"wheel": "Energy at the wheel", "line": "Energy at the line"}
+OBJECTIVES = {"wheel": N_("Energy at the wheel"), "line": N_("Energy at the line")}
 COUNTLESS = 2.0**53
 """Upper bound from which on a range is shown without it (that of seeds)."""
 POLICIES_SHOWN = 20
@@ -42,14 +45,14 @@ def describe_range(kind: type[BaseModel], name: str, scale: float = 1.0) -> str:
     low = told.get("minimum", told.get("exclusiveMinimum"))
     high = told.get("maximum", told.get("exclusiveMaximum", math.inf))
     least, most = (f"{scale * bound:,.10g}".replace(",", " ") for bound in (low, high))
-    least = least if "minimum" in told else f"above {least}"
-    most = most if "maximum" in told else f"below {most}"
+    least = least if "minimum" in told else _("above {least}", least=least)
+    most = most if "maximum" in told else _("below {most}", most=most)
     if high < COUNTLESS:
-        return f"{least} to {most}"
-    return f"{least} or more" if "minimum" in told else least
+        return _("{least} to {most}", least=least, most=most)
+    return _("{least} or more", least=least) if "minimum" in told else least
 
 
-def number_field(kind: type[BaseModel], name: str, unit: Unit | None = None, **more: Any) -> ui.number:  # noqa: ANN401
+def number_field(kind: type[BaseModel], name: str, unit: Unit | None = None, **more: Any) -> NumberField:  # noqa: ANN401
     """Place a number field that shows its range; a value out of range is refused, not clipped.
 
     Label, unit, step and first value are those of the declaration, where nothing else is given.
@@ -65,12 +68,12 @@ def number_field(kind: type[BaseModel], name: str, unit: Unit | None = None, **m
     scale = 1.0 if unit is None else unit.denominator / unit.numerator
     field = kind.model_fields[name]
     declared = {
-        "label": f"{spec.label} ({unit.name})" if unit else spec.label,
+        "label": f"{_(spec.label)} ({unit.name})" if unit else _(spec.label),
         "value": None if field.is_required() else field.get_default(),
         "step": (unit.from_si(spec.step) if unit else spec.step) or None,
     }
-    made = ui.number(**declared | more)
-    return made.props(f'outlined dense hint="{describe_range(kind, name, scale)}"')
+    made = NumberField(**declared | more)
+    return made.props("outlined dense").props(prop_of("hint", describe_range(kind, name, scale)))
 
 
 def validate(kind: type[Body], values: dict[str, Any], **scales: float) -> Body:
@@ -92,6 +95,8 @@ def validate(kind: type[Body], values: dict[str, Any], **scales: float) -> Body:
         refused = first.get("ctx", {}).get("error")
         if isinstance(refused, InputError) and name not in scales:
             raise refused from None
+        if first["type"] == "finite_number":
+            raise InputError("not a number", field=name) from None
         bounded = isinstance(refused, InputError) or first["type"].startswith(("greater", "less"))
         if len(first["loc"]) == 1 and bounded:
             scale = scales.get(name, 1.0)
@@ -109,25 +114,25 @@ class RestrictionForm:
 
     def __init__(self, changed: Callable[[], Any]) -> None:
         self.changed = changed
-        self.rows: list[dict[str, ui.number]] = []
+        self.rows: list[dict[str, NumberField]] = []
 
     def build(self) -> None:
         """Place the rows in a closed expansion."""
-        self.fold = ui.expansion("Speed restrictions").props("dense").classes("mp-soft")
+        self.fold = ui.expansion(_("Speed restrictions")).props("dense").classes("mp-soft")
         with self.fold, ui.element("div").classes("mp-stack"):
             self.place = ui.element("div").classes("mp-stack").props('data-test="restrictions"')
-            more = ui.button("Add a restriction", icon="add", on_click=self.add)
+            more = ui.button(_("Add a restriction"), icon="add", on_click=self.add)
             more.props("flat dense no-caps")
 
     def add(self) -> Any:  # noqa: ANN401 (a page's answer)
         """Add a restriction behind the last one."""
-        begin = max((row["to_m"].value or 0.0 for row in self.rows), default=400.0)
+        begin = max((row["to_m"].number or 0.0 for row in self.rows), default=400.0)
         self.place_row({"from_m": begin + 100.0, "to_m": begin + 200.0, "limit_mps": 40 / KMH_PER_MPS})
         return self.changed()
 
     def place_row(self, body: dict[str, Any]) -> None:
         """Place the fields of a restriction."""
-        row: dict[str, ui.number] = {}
+        row: dict[str, NumberField] = {}
         with self.place, ui.element("div").classes("mp-row items-center") as shown:
             for name in ("from_m", "to_m", "limit_mps"):
                 unit = spec_of(NewRestriction, name).shown_unit
@@ -136,16 +141,16 @@ class RestrictionForm:
             row["at_s"] = number_field(
                 RestrictionIn,
                 "at_s",
-                label="Sent after (s); empty: known before",
+                label=_("Sent after (s); empty: known before"),
                 value=body.get("at_s"),
                 step=1,
                 on_change=self.changed,
             )
             remove = ui.button(icon="remove", on_click=lambda: self.remove(row, shown))
-            remove.props('flat dense round aria-label="Remove this restriction"')
+            remove.props("flat dense round").props(prop_of("aria-label", _("Remove this restriction")))
         self.rows.append(row)
 
-    def remove(self, row: dict[str, ui.number], shown: ui.element) -> Any:  # noqa: ANN401 (a page's answer)
+    def remove(self, row: dict[str, NumberField], shown: ui.element) -> Any:  # noqa: ANN401 (a page's answer)
         """Remove a restriction."""
         self.rows.remove(row)
         shown.delete()
@@ -215,24 +220,29 @@ class SectionForm:
         lines = {row["id"]: row["name"] for row in catalogue.line_rows(self.service)}
         trainsets = {row["id"]: row["name"] for row in catalogue.trainset_rows(self.service)}
         self.restrictions = RestrictionForm(self._replan)
-        self.line_in = ui.select(lines, value="yizhuang", label="Line", on_change=self._line_changed)
+        self.line_in = ui.select(lines, value="yizhuang", label=_("Line"), on_change=self._line_changed)
         stops = names(self.line["stops"])
-        self.origin_in = ui.select(stops, value="RJ", label="From", on_change=self._refresh)
-        self.destination_in = ui.select(stops, value="WYJ", label="To", on_change=self._refresh)
+        self.origin_in = ui.select(stops, value="RJ", label=_("From"), on_change=self._refresh)
+        self.destination_in = ui.select(stops, value="WYJ", label=_("To"), on_change=self._refresh)
         first = "dkz32" if "dkz32" in trainsets else next(iter(trainsets))
         with ui.element("div").classes("mp-row"):
             self.trainset_in = ui.select(
-                trainsets, value=first, label="Trainset", on_change=self._trainset_changed
+                trainsets, value=first, label=_("Trainset"), on_change=self._trainset_changed
             )
             aboard = loads(self.service, first)
-            self.load_in = ui.select(aboard, value=next(iter(aboard)), label="Load", on_change=self._refresh)
+            self.load_in = ui.select(
+                aboard, value=next(iter(aboard)), label=_("Load"), on_change=self._refresh
+            )
         for element in (self.line_in, self.origin_in, self.destination_in, self.trainset_in, self.load_in):
             element.props("outlined dense options-dense")
-        self.time_words = ui.label("Running time").classes("mp-soft mp-two")
+        self.time_words = ui.label(_("Running time")).classes("mp-soft mp-two")
         self.slider = ui.slider(min=60, max=160, step=1, value=101, on_change=self._time_moved)
-        self.slider.props('label aria-label="Scheduled running time in seconds" data-test="time"')
+        self.slider.props('label data-test="time"')
+        self.slider.props(prop_of("aria-label", _("Scheduled running time in seconds")))
         self.restrictions.build()
-        self.objective = ui.select(OBJECTIVES, value="wheel", label="Plans save", on_change=self._replan)
+        self.objective = ui.select(
+            translate_each(OBJECTIVES), value="wheel", label=_("Plans save"), on_change=self._replan
+        )
         self.objective.props("outlined dense options-dense")
         self.kept_words = ui.label("").classes("mp-soft").props('data-test="kept"')
         self.problem = Problem()
@@ -341,7 +351,7 @@ class SectionForm:
         self.problem.clear()
         body = {**self.values(), "time_s": None}
         try:
-            self.section = await self.service.section(PlanIn.model_validate(body))
+            self.section = await self.service.section(validate(PlanIn, body))
         except MetropilotError as error:
             self.section, self._refusal = None, error
             self.problem.show(error)
@@ -365,11 +375,14 @@ class SectionForm:
             return
         least, now = self.section["minimum_running_time_s"], self.time_s
         planned = self.section["planned_time_s"]
-        timetable = f" · timetable {planned:g} s" if planned else ""
-        self.time_words.text = (
-            f"Running time {now:.0f} s · minimum {least:.1f} s · "
-            f"reserve {number(100 * (now / least - 1), 0, '%')}{timetable}"
+        words = _(
+            "Running time {now} s · minimum {least} s · reserve {reserve}",
+            now=f"{now:.0f}",
+            least=f"{least:.1f}",
+            reserve=number(100 * (now / least - 1), 0, "%"),
         )
+        timetable = _("timetable {planned} s", planned=f"{planned:g}") if planned else ""
+        self.time_words.text = f"{words} · {timetable}" if timetable else words
 
     def _changed_by_hand(self) -> bool:
         """Tell whether the user changed a field; if so, forget the linked run."""
@@ -426,11 +439,11 @@ def loads(service: Service, trainset: str) -> dict[str, str]:
 def describe_hidden(kept: dict[str, Any], options: dict[str, Any]) -> str:
     """Describe the values of a linked run without a field here, with the driver's options but its policy."""
     said = [
-        f"arrive after {a['scheduled_time_s']:g} s, sent after {a['at_s']:g} s"
+        _("arrive after {time} s, sent after {at} s", time=f"{a['scheduled_time_s']:g}", at=f"{a['at_s']:g}")
         for a in kept.get("arrivals", ())
     ]
     said += [f"{name} {value}" for name, value in other_options(options).items()]
-    return f"Of the linked run: {'; '.join(said)}." if said else ""
+    return _("Of the linked run: {values}.", values="; ".join(said)) if said else ""
 
 
 class FoldedNumbers:
@@ -447,7 +460,7 @@ class FoldedNumbers:
 
     def build(self, problem: Problem, changed: Callable[[], Any] | None = None) -> None:
         """Place the fields."""
-        self.inputs: dict[str, ui.number] = {}
+        self.inputs: dict[str, NumberField] = {}
         self.fold = ui.expansion(self.title).props("dense").classes("mp-soft")
         with self.fold, ui.element("div").classes("mp-stack") as self.stack:
             for name in self.fields:
@@ -478,14 +491,14 @@ class DisturbanceForm(FoldedNumbers):
     FIELDS = tuple(name for name, spec in run_fields().items() if spec.label and spec.range is not None)
 
     def __init__(self) -> None:
-        super().__init__(DriveIn, "Disturbances", self.FIELDS)
+        super().__init__(DriveIn, _("Disturbances"), self.FIELDS)
         self.seed: int | None = None
 
     def build(self, problem: Problem, changed: Callable[[], Any] | None = None) -> None:
         """Place the fields, and that of an ideal trainset."""
         super().build(problem, changed)
         with self.stack:
-            self.ideal = ui.checkbox(run_fields()["ideal"].help.rstrip("."))
+            self.ideal = ui.checkbox(retell(run_fields()["ideal"].help.rstrip(".")))
 
     def defaults(self) -> dict[str, Any]:
         """Values of the fields of a run without disturbance."""
@@ -504,25 +517,35 @@ class DisturbanceForm(FoldedNumbers):
         # a browser has no such integers: the field stays empty, which stands for the seed of the linked run
         self.seed = body["seed"] if body.get("seed", 0) >= COUNTLESS else None
         if self.seed is not None:
-            self.inputs["seed"].props(f'hint="empty: {self.seed}, that of the linked run"')
+            words = _("empty: {seed}, that of the linked run", seed=self.seed)
+            self.inputs["seed"].props(prop_of("hint", words))
         super().restore(body if self.seed is None else body | {"seed": None})
+
+
+OWN, PUBLISHED, LEARNED = N_("Own"), N_("Published"), N_("Learned")
+KINDS = (OWN, PUBLISHED, LEARNED)
 
 
 def driver_kind(row: dict[str, Any]) -> str:
     """Kind of a driver: learned, of a paper, or own."""
     if POLICY in row["options"]:
-        return "Learned"
-    return "Own" if row["source"].startswith("own") else "Published"
+        return LEARNED
+    return OWN if row["source"].startswith("own") else PUBLISHED
 
 
 def describe_driver(name: str) -> str:
     """One sentence about a driver: its kind, what it does, its source."""
-    driver, _ = parse_driver(name)
-    row = next((each for each in catalogue.driver_rows() if each["id"] == driver), None)
-    return "" if row is None else f"{driver_kind(row)}: {row['summary']} ({row['source']})"
+    row = driver_row(name)
+    if row is None:
+        return ""
+    told = {"summary": retell(row["summary"]), "source": retell(row["source"])}
+    return _("{kind}: {summary} ({source})", kind=_(driver_kind(row)), **told)
 
 
-KINDS = ("Own", "Published", "Learned")
+def driver_row(name: str) -> dict[str, Any] | None:
+    """Values of a driver, as a list of drivers has it; None if there is none of that id."""
+    driver = parse_driver(name)[0]
+    return next((each for each in catalogue.driver_rows() if each["id"] == driver), None)
 
 
 class DriverOptions:
@@ -531,7 +554,7 @@ class DriverOptions:
     def build(self, problem: Problem) -> None:
         """Place the expansion."""
         self.problem = problem
-        self.fold = ui.expansion("Driver options").props("dense").classes("mp-soft")
+        self.fold = ui.expansion(_("Driver options")).props("dense").classes("mp-soft")
         with self.fold:
             self.place = ui.element("div").classes("mp-stack").props('data-test="driver-options"')
         self.problem.beside("set", self.fold)
@@ -543,9 +566,8 @@ class DriverOptions:
             name: Driver, as a list of drivers has it.
             given: Options that differ from their defaults.
         """
-        driver, _ = parse_driver(name)
-        row = next((each for each in catalogue.driver_rows() if each["id"] == driver), {"options": {}})
-        self.plain = other_options(row["options"])
+        row = driver_row(name)
+        self.plain = other_options({} if row is None else row["options"])
         values = self.plain | {key: value for key, value in (given or {}).items() if key in self.plain}
         self.inputs: dict[str, Any] = {}
         self.place.clear()
@@ -564,7 +586,7 @@ class DriverOptions:
         if isinstance(value, bool):
             return ui.checkbox(label, value=value)
         if isinstance(value, int | float):
-            return ui.number(label, value=value).props("outlined dense")
+            return NumberField(label, value=value).props("outlined dense")
         return ui.input(label, value=str(value or "")).props("outlined dense")
 
     def values(self) -> dict[str, Any]:
@@ -579,6 +601,12 @@ class DriverOptions:
         return found
 
 
+def is_learned(name: str) -> bool:
+    """Tell whether a driver of a list is a learned one."""
+    row = driver_row(name)
+    return row is not None and driver_kind(row) == LEARNED
+
+
 def driver_names(service: Service | None = None) -> dict[str, str]:
     """Options of a list of drivers by kind, with learned and uploaded policies.
 
@@ -590,7 +618,7 @@ def driver_names(service: Service | None = None) -> dict[str, str]:
     policies = [] if service is None else list(service.policies())[:POLICIES_SHOWN]
     if policies:
         found.pop("learned", None)
-    return found | {f"learned:{POLICY}={key}": f"learned · {key}" for key in policies}
+    return found | {f"learned:{POLICY}={key}": f"{retell('learned')} · {key}" for key in policies}
 
 
 def driver_choice(

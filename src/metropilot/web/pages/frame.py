@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
+from copy import copy
 from typing import Any, Self
 
 from fastapi import Request
@@ -14,34 +15,39 @@ from nicegui.slot import Slot
 from metropilot.errors import MetropilotError
 from metropilot.web.errors import detail_of
 from metropilot.web.users import present_user
+from metropilot.web.words.browser import words_script
+from metropilot.web.words.language import COOKIE, LANGUAGES, N_, _, present_language
+from metropilot.web.words.said import retell
 
 PAGES = (
-    ("/", "Drive"),
-    ("/compare", "Compare"),
-    ("/journey", "Journey"),
-    ("/line", "Line"),
-    ("/convoy", "Convoy"),
-    ("/learn", "Learn"),
-    ("/lines", "Lines"),
-    ("/runs", "Runs"),
-    ("/campaigns", "Campaigns"),
+    ("/", N_("Drive")),
+    ("/compare", N_("Compare")),
+    ("/journey", N_("Journey")),
+    ("/line", N_("Line")),
+    ("/convoy", N_("Convoy")),
+    ("/learn", N_("Learn")),
+    ("/lines", N_("Lines")),
+    ("/runs", N_("Runs")),
+    ("/campaigns", N_("Campaigns")),
 )
 THEME = "metropilot_theme"
 THEMES = {"auto": None, "light": False, "dark": True}
 HEAD = (
     '<link rel="stylesheet" href="/static/console.css">'
+    '<script src="/static/words.js"></script>'
     '<script src="/static/access.js" defer></script><script src="/static/stream.js" defer></script>'
     '<script src="/static/live.js" defer></script><script src="/static/convoy.js" defer></script>'
     '<script src="/static/line.js" defer></script>'
 )
 UPLOAD_HEADER = """<div class="row items-center no-wrap q-pa-sm q-gutter-sm">
     <q-btn outline no-caps icon="upload_file" label="%s" :disable="props.disable" @click="props.pickFiles" />
-    <span class="mp-soft">or drop it here</span>
+    <span class="mp-soft">%s</span>
     <div style="display: none"><q-uploader-add-trigger /></div></div>"""
+THEME_WORDS = {"auto": N_("auto"), "light": N_("light"), "dark": N_("dark")}
 NEXT_THEME = {"auto": "light", "light": "dark", "dark": "auto"}
 
 
-READS_ONLY = "You are signed in as {}, who reads only: everything can be looked at, nothing changed."
+READS_ONLY = N_("You are signed in as {name}, who reads only: everything can be looked at, nothing changed.")
 
 
 class ActionButton(ui.button):
@@ -52,7 +58,7 @@ class ActionButton(ui.button):
         super().__init__(*args, **values)
         if not self.allowed:
             self.set_enabled(False)
-            self.props(f'title="{_attribute(str(present_user().name))} reads only"')
+            self.props(prop_of("title", _("{name} reads only", name=present_user().name)))
 
     def set_enabled(self, value: bool) -> Self:
         """Enable or disable the button; a viewer's stays disabled."""
@@ -78,26 +84,29 @@ def frame(request: Request, active: str) -> Iterator[None]:
     theme = theme if theme in THEMES else "auto"
     ui.dark_mode(THEMES[theme])
     ui.colors(primary="#0072b2", positive="#00785a", negative="#b84300", warning="#b84300")
-    ui.add_head_html(HEAD)
+    ui.add_head_html(words_script() + HEAD)
+    language = present_language()
+    name = _((ui.context.client.page.title or "metropilot").partition(" · ")[0])
+    _speak(ui.context.client, language, name)
     # NiceGUI puts what is placed here inside its <main>: the header is to be a landmark beside it.
     with ui.context.client.layout, ui.element("header") as header:
         header.classes("mp-header q-header flex no-wrap items-center").move(target_index=0)
-        ui.link("Skip to content", "#main").classes("mp-skip")
+        ui.link(_("Skip to content"), "#main").classes("mp-skip")
         ui.link("metropilot", "/").classes("mp-brand")
-        with ui.element("nav").classes("mp-nav").props('aria-label="Pages"'):
-            for path, name in PAGES:
-                link = ui.link(name, path)
+        with ui.element("nav").classes("mp-nav").props(prop_of("aria-label", _("Pages"))):
+            for path, words in PAGES:
+                link = ui.link(_(words), path)
                 if path == active:
                     link.props("aria-current=page")
         user = present_user()
         if user.name is not None:
             ui.label(user.name).classes("mp-user").props('data-test="user"')
+        _language_button(language)
         _theme_button(theme)
     with ui.element("div").classes("mp-main").props("id=main tabindex=-1"):
-        name = (ui.context.client.page.title or "metropilot").partition(" · ")[0]
         ui.label(name).classes("mp-unseen").props("role=heading aria-level=1")
         if not user.may_change:
-            said = ui.label(READS_ONLY.format(user.name)).classes("mp-card mp-notice mp-wide")
+            said = ui.label(_(READS_ONLY, name=user.name)).classes("mp-card mp-notice mp-wide")
             said.props('role=note data-test="reads-only"')
         yield
 
@@ -111,17 +120,34 @@ def _end_with(client: Client) -> None:
                     task.cancel()
 
 
+def _speak(client: Client, language: str, name: str) -> None:
+    """Set title, ``<html lang>`` and Quasar's own texts of a page; NiceGUI has them of the route, for all."""
+    client.title = f"{name} · metropilot"
+    client.page = copy(client.page)
+    client.page.language = LANGUAGES[language].tag
+
+
+def _keep(cookie: str, value: str) -> None:
+    """Keep a choice in a cookie and load the page anew."""
+    text = f"{cookie}={value}; path=/; max-age=31536000; samesite=strict"
+    ui.run_javascript(f"document.cookie = {text!r}; location.reload()")
+
+
+def _language_button(language: str) -> None:
+    """Place the button of the language, which says the other one's name in itself."""
+    names = list(LANGUAGES)
+    other = names[(names.index(language) + 1) % len(names)]
+    button = ui.button(LANGUAGES[other].name, on_click=lambda: _keep(COOKIE, other))
+    button.props(f'flat dense no-caps color=white lang={LANGUAGES[other].tag} data-test="language"')
+
+
 def _theme_button(theme: str) -> None:
     """Place the button of the theme: system, light, dark, kept in a cookie."""
-
-    def change() -> None:
-        wanted = NEXT_THEME[theme]
-        cookie = f"{THEME}={wanted}; path=/; max-age=31536000; samesite=strict"
-        ui.run_javascript(f"document.cookie = {cookie!r}; location.reload()")
-
+    wanted = NEXT_THEME[theme]
     icon = {"auto": "brightness_auto", "light": "light_mode", "dark": "dark_mode"}[theme]
-    button = ui.button(icon=icon, on_click=change).props("flat round dense color=white")
-    button.props(f'aria-label="Theme: {theme}; change to {NEXT_THEME[theme]}"')
+    button = ui.button(icon=icon, on_click=lambda: _keep(THEME, wanted)).props("flat round dense color=white")
+    words = _("Theme: {theme}; change to {next}", theme=_(THEME_WORDS[theme]), next=_(THEME_WORDS[wanted]))
+    button.props(prop_of("aria-label", words))
 
 
 @contextmanager
@@ -142,7 +168,7 @@ def card(title: str = "", note: str = "", *, late: bool = False) -> Iterator[ui.
 def question(title: str) -> Iterator[ui.dialog]:
     """Place a dialog with a heading, which is its name, too; Escape closes it."""
     with ui.dialog() as made, ui.card().classes("mp-card"):
-        made.props(f'aria-label="{_attribute(title)}"')
+        made.props(prop_of("aria-label", title))
         heading(title)
         yield made
 
@@ -155,7 +181,7 @@ def heading(text: str) -> ui.label:
 def strip(name: str, content: str = "") -> ui.html:
     """Place a drawing of the track, which is scrolled by keyboard, too, where it is wider than its card."""
     made = ui.html(content).classes("mp-strip")
-    return made.props(f'tabindex=0 role=group aria-label="{_attribute(name)}"')
+    return made.props("tabindex=0 role=group").props(prop_of("aria-label", name))
 
 
 def upload_field(
@@ -173,12 +199,12 @@ def upload_field(
     made = ui.upload(on_upload=take, on_rejected=refuse, max_file_size=most_bytes, auto_upload=True)
     made.props(f'accept="{",".join(kinds)}" flat bordered').classes("w-full")
     # Quasar's own header has an input without a name inside a button without one.
-    made.add_slot("header", UPLOAD_HEADER % words)
+    made.add_slot("header", UPLOAD_HEADER % (words, _("or drop it here")))
     return for_users(made)
 
 
 def reads(items: Sequence[tuple[str, str, str]]) -> None:
-    """Place numbers side by side: name, value, and the key by which the browser fills it (or empty)."""
+    """Place numbers side by side: name in English or translated, value, key by which the browser fills it."""
     with (
         ui.element("div")
         .classes("mp-reads")
@@ -186,7 +212,7 @@ def reads(items: Sequence[tuple[str, str, str]]) -> None:
     ):
         for name, value, part in items:
             with ui.element("div").classes("mp-read"):
-                ui.label(name).classes("k")
+                ui.label(_(name)).classes("k")
                 shown = ui.label(value).classes("v")
                 if part:
                     shown.props(f'data-mp="{part}"')
@@ -198,8 +224,9 @@ def table(
     """Place a table of texts; a cell may be (text, class)."""
     with ui.element("div").classes("mp-scroll") as scrolled, ui.element("table").classes("mp-table") as made:
         if name:
-            scrolled.props(f'tabindex=0 role=group aria-label="{name}, scrolled"')
-            made.props(f'aria-label="{name}"')
+            scrolled.props("tabindex=0 role=group")
+            scrolled.props(prop_of("aria-label", _("{name}, scrolled", name=name)))
+            made.props(prop_of("aria-label", name))
         with ui.element("thead"), ui.element("tr"):
             for k, column in enumerate(columns):
                 # a cell without words is no heading
@@ -263,8 +290,8 @@ class Problem:
     def show(self, error: MetropilotError) -> None:
         """Show an error with its place and allowed values."""
         told = detail_of(error)
-        allowed = f" (allowed: {told['allowed']})" if told["allowed"] else ""
-        words = f"{told['message']}{allowed}"
+        allowed, message = allowed_words(told["allowed"]), retell(told["message"])
+        words = f"{message}{allowed}"
         name = (told["field"] or "").split("[")[0]
         while name not in self.fields and "." in name:
             name = name.rpartition(".")[0]
@@ -276,11 +303,11 @@ class Problem:
                 if told["value"] is None
                 else f": {told['value']}" + (f" {told['unit']}" if told["unit"] else "")
             )
-            self.label.text = (f"{where}: " if where else "") + told["message"] + value + allowed
+            self.label.text = (f"{where}: " if where else "") + message + value + allowed
             return
         if name in self.folds:
             self.folds[name].open()
-        element.props("error").props(f'error-message="{_attribute(words)}"')
+        element.props("error").props(prop_of("error-message", words))
 
     @contextmanager
     def show_errors(self) -> Iterator[None]:
@@ -292,8 +319,14 @@ class Problem:
             self.show(error)
 
 
-def _attribute(text: str) -> str:
-    return text.replace('"', "”").replace("\n", " ")
+def allowed_words(allowed: object) -> str:
+    """Words on what is allowed, to follow those of an error; empty if it does not say."""
+    return " " + _("(allowed: {allowed})", allowed=retell(str(allowed))) if allowed else ""
+
+
+def prop_of(name: str, text: str) -> str:
+    """Write a text as a property of an element, in which neither quotes nor line ends may stand."""
+    return f'{name}="{text.replace(chr(34), "”").replace(chr(10), " ")}"'
 
 
 def refresh_while(alive: Callable[[], bool], every_s: float, act: Callable[[], Any]) -> ui.timer:

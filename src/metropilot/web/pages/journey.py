@@ -18,8 +18,9 @@ from metropilot.web.pages.plots import blank, journey_figure, sections_figure
 from metropilot.web.pages.strip import line_strip, names
 from metropilot.web.schemas.requests import JourneyIn
 from metropilot.web.service import Service
+from metropilot.web.words.language import N_, _, translate_each
 
-WAYS = {"timetable": "Keep the timetable", "optimum": "Let the optimum spread the reserve"}
+WAYS = {"timetable": N_("Keep the timetable"), "optimum": N_("Let the optimum spread the reserve")}
 
 
 class JourneyPage:
@@ -37,37 +38,37 @@ class JourneyPage:
         trainsets = {row["id"]: row["name"] for row in catalogue.trainset_rows(self.service)}
         stops = names(self.line["stops"])
         ends = list(stops)
-        with ui.element("div").classes("mp-col"), card("Journey", "Calls at every station on the way."):
+        with ui.element("div").classes("mp-col"), card(_("Journey"), _("Calls at every station on the way.")):
             self.problem = Problem()
             fields: dict[str, Any] = {
-                "line": ui.select(lines, value="yizhuang", label="Line", on_change=self.update_stations),
-                "origin": ui.select(stops, value=ends[0], label="From"),
-                "destination": ui.select(stops, value=ends[-1], label="To"),
+                "line": ui.select(lines, value="yizhuang", label=_("Line"), on_change=self.update_stations),
+                "origin": ui.select(stops, value=ends[0], label=_("From")),
+                "destination": ui.select(stops, value=ends[-1], label=_("To")),
                 "trainset": ui.select(
-                    trainsets, value="dkz32", label="Trainset", on_change=self.update_loads
+                    trainsets, value="dkz32", label=_("Trainset"), on_change=self.update_loads
                 ),
-                "load": ui.select(loads(self.service, "dkz32"), label="Load"),
+                "load": ui.select(loads(self.service, "dkz32"), label=_("Load")),
             }
             fields["load"].value = next(iter(fields["load"].options))
             self.fields = fields
             for name, element in fields.items():
                 self.problem.beside(name, element.props("outlined dense options-dense"))
-            self.way = ui.radio(WAYS, value="optimum").props("dense")
+            self.way = ui.radio(translate_each(WAYS), value="optimum").props("dense")
             self.total = number_field(
-                JourneyIn, "total_s", label="Whole journey, dwells included (s)", step=10
+                JourneyIn, "total_s", label=_("Whole journey, dwells included (s)"), step=10
             )
             self.problem.beside("total_s", self.total).props('data-test="total"')
             self.problem.beside("journey", self.total)
-            ActionButton("Plan", on_click=self.keep).props('unelevated data-test="plan"')
+            ActionButton(_("Plan"), on_click=self.keep).props('unelevated data-test="plan"')
             self.status = ui.label("").classes("mp-soft").props("aria-live=polite")
         with ui.element("div").classes("mp-col"):
             with card():
-                self.map = strip("Whole line")
+                self.map = strip(_("Whole line"))
                 self.summary = ui.element("div").props('data-test="summary"')
-            with card("Train graph"):
+            with card(_("Train graph")):
                 self.graph = ui.plotly(blank(460)).classes("mp-plot")
                 self.graph.props('data-test="graph"')
-            with card("Sections"):
+            with card(_("Sections")):
                 self.bars = ui.plotly(blank(400)).classes("mp-plot")
                 self.rows = ui.element("div").classes("w-full").props('data-test="sections"')
 
@@ -105,7 +106,7 @@ class JourneyPage:
     @contextmanager
     def planning(self) -> Iterator[None]:
         """Say that a journey is being planned."""
-        self.status.text = "planning …"
+        self.status.text = _("planning …")
         try:
             yield
         finally:
@@ -173,10 +174,14 @@ class JourneyPage:
         with self.summary:
             reads(
                 (
-                    ("journey time", f"{minutes} min {seconds:02d} s", ""),
-                    ("energy at the wheel", f"{energy:.1f} kWh", ""),
-                    ("against the timetable's times", number(None if saved is None else -saved, 2, "%"), ""),
-                    ("certified within", f"{max(gap, 0.001):.3f} %", ""),
+                    (_("journey time"), f"{minutes} min {seconds:02d} s", ""),
+                    (_("energy at the wheel"), f"{energy:.1f} kWh", ""),
+                    (
+                        _("against the timetable's times"),
+                        number(None if saved is None else -saved, 2, "%"),
+                        "",
+                    ),
+                    (_("certified within"), f"{max(gap, 0.001):.3f} %", ""),
                 )
             )
         self.graph.update_figure(journey_figure(found))
@@ -192,10 +197,17 @@ class JourneyPage:
             )
             for a, b in pairwise(found["calls"])
         ]
-        columns = ("section", "arrival (min:s)", "running (s)", "minimum (s)", "reserve (s)", "energy (kWh)")
+        columns = (
+            _("section"),
+            _("arrival (min:s)"),
+            _("running (s)"),
+            _("minimum (s)"),
+            _("reserve (s)"),
+            _("energy (kWh)"),
+        )
         self.rows.clear()
         with self.rows:
-            table(columns, rows, right=range(1, 6), name="Sections")
+            table(columns, rows, right=range(1, 6), name=_("Sections"))
 
 
 def install(service: Service) -> None:

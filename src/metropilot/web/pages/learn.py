@@ -13,7 +13,7 @@ from metropilot.errors import MetropilotError
 from metropilot.studies import PublishedStudy
 from metropilot.web import catalogue
 from metropilot.web.errors import Refused, error_of
-from metropilot.web.pages.form import describe_driver, driver_names, number_field, validate
+from metropilot.web.pages.form import driver_names, is_learned, number_field, validate
 from metropilot.web.pages.frame import (
     ActionButton,
     Problem,
@@ -22,6 +22,7 @@ from metropilot.web.pages.frame import (
     frame,
     links,
     number,
+    prop_of,
     refresh_while,
     table,
 )
@@ -31,6 +32,8 @@ from metropilot.web.pages.tables import DataColumn, DataTable
 from metropilot.web.schemas.requests import ExportIn, LearnIn, StudyIn
 from metropilot.web.service import Service
 from metropilot.web.store import JobRow
+from metropilot.web.words.language import N_, _
+from metropilot.web.words.said import retell
 
 POLL_S = 1.0
 GOING = ("queued", "running")
@@ -49,16 +52,19 @@ class LearnPage:
         """Build the fields on the left and the results on the right."""
         self.recipes = {row["driver"]: row for row in catalogue.recipe_rows()}
         with ui.element("div").classes("mp-col"):
-            with card("Learn a driver"):
+            with card(_("Learn a driver")):
                 self.driver = ui.select(
-                    list(self.recipes), value="ppo", label="Driver", on_change=self.say_recipe
+                    list(self.recipes), value="ppo", label=_("Driver"), on_change=self.say_recipe
                 )
                 self.budget = ui.select(
-                    ["quick", "paper"], value="quick", label="Budget", on_change=self.say_recipe
+                    {name: retell(name) for name in ("quick", "paper")},
+                    value="quick",
+                    label=_("Budget"),
+                    on_change=self.say_recipe,
                 )
                 self.words = ui.label("").classes("mp-soft")
-                self.steps = number_field(LearnIn, "steps", label="Environment steps", step=50_000)
-                self.seed = number_field(LearnIn, "seed", label="Seed", step=1)
+                self.steps = number_field(LearnIn, "steps", label=_("Environment steps"), step=50_000)
+                self.seed = number_field(LearnIn, "seed", label=_("Seed"), step=1)
                 self.problem = Problem()
                 fields = (
                     ("driver", self.driver),
@@ -69,33 +75,32 @@ class LearnPage:
                 for name, element in fields:
                     self.problem.beside(name, element.props("outlined dense options-dense"))
                 self.steps.props('data-test="steps"')
-                ActionButton("Learn", on_click=self.start).props('unelevated data-test="learn"')
+                ActionButton(_("Learn"), on_click=self.start).props('unelevated data-test="learn"')
             self.aboard = ExportForm(self.service)
             self.aboard.build()
-            with card("Studies", "Papers reproduced: published, reproduced and optimal values."):
+            with card(_("Studies"), _("Papers reproduced: published, reproduced and optimal values.")):
                 self.studies()
         with ui.element("div").classes("mp-col"):
-            with card("Run"):
+            with card(_("Run")):
                 with ui.element("div").classes("mp-row items-center"):
-                    self.status = ui.label("No run chosen.").classes("mp-soft grow")
+                    self.status = ui.label(_("No run chosen.")).classes("mp-soft grow")
                     self.status.props('aria-live=polite data-test="status"')
-                    self.stop_button = ActionButton("Stop", on_click=self.stop).props(
+                    self.stop_button = ActionButton(_("Stop"), on_click=self.stop).props(
                         'outline data-test="stop"'
                     )
-                    self.resume_button = ActionButton("Resume", on_click=self.resume).props(
+                    self.resume_button = ActionButton(_("Resume"), on_click=self.resume).props(
                         'outline data-test="resume"'
                     )
-                self.drive_it = ui.link("Compare its policy with the optimum", "/compare")
+                self.drive_it = ui.link(_("Compare its policy with the optimum"), "/compare")
                 self.drive_it.classes("mp-links").props('data-test="drive-it"').set_visibility(False)
-                self.bar = ui.linear_progress(value=0, show_value=False).props(
-                    'aria-label="Progress" rounded'
-                )
+                self.bar = ui.linear_progress(value=0, show_value=False).props("rounded")
+                self.bar.props(prop_of("aria-label", _("Progress")))
                 self.plot = (
-                    ui.plotly(blank(560, "Start a run, or choose one below."))
+                    ui.plotly(blank(560, _("Start a run, or choose one below.")))
                     .classes("mp-plot")
                     .props('data-test="curves"')
                 )
-            with card("Runs"):
+            with card(_("Runs")):
                 self.runs = ui.element("div").classes("w-full").props('data-test="runs"')
             self.tables = ui.element("div").classes("mp-col").props('data-test="study"')
         self.say_recipe()
@@ -105,7 +110,8 @@ class LearnPage:
     def say_recipe(self) -> None:
         """Show the summary of the recipe and its steps."""
         row = self.recipes[self.driver.value]
-        self.words.text = f"{row['summary']} ({row['source']}), task {row['task']}"
+        told = {"summary": retell(row["summary"]), "source": retell(row["source"]), "task": row["task"]}
+        self.words.text = _("{summary} ({source}), task {task}", **told)
         self.steps.value = row[f"steps_{self.budget.value}"]
 
     def start(self) -> None:
@@ -150,7 +156,7 @@ class LearnPage:
     def show(self, row: JobRow | None, columns: dict[str, Any]) -> None:
         """Show status, curves and list where something has changed."""
         if row is None:
-            self.status.text = "no such job"
+            self.status.text = _("no such job")
             return
         steps = columns.get("steps", [])
         now = (row.id, row.status, row.words, len(steps))
@@ -158,9 +164,9 @@ class LearnPage:
             return
         self.seen = now
         name = row.run or row.id
-        self.status.text = f"{name} · {row.status}" + (f" · {row.words}" if row.words else "")
+        self.status.text = f"{name} · {retell(row.status)}" + (f" · {retell(row.words)}" if row.words else "")
         self.bar.value = row.progress
-        waits = blank(560, "The curves begin with the first evaluation.")
+        waits = blank(560, _("The curves begin with the first evaluation."))
         self.plot.update_figure(history_figure(columns) if steps else waits)
         self.look_buttons(row.status)
         self.drive_it.set_visibility(row.run in self.service.policies())
@@ -176,7 +182,7 @@ class LearnPage:
         """Stop at the next checkpoint."""
         with self.problem.show_errors():
             self.service.stop(self.job or "")
-            self.status.text += " · stops at the next checkpoint"
+            self.status.text += " · " + _("stops at the next checkpoint")
 
     def resume(self) -> None:
         """Resume from the checkpoint."""
@@ -190,12 +196,15 @@ class LearnPage:
         self.runs.clear()
         with self.runs:
             if not rows:
-                empty("No learning run yet. Quick takes about two minutes on two free cores.")
+                empty(_("No learning run yet. Quick takes about two minutes on two free cores."))
                 return
             with ui.element("div").classes("mp-stack"):
                 for row in rows:
                     seed = row.request["seed"]
-                    words = f"{row.run or row.id} · {row.request['budget']} · seed {seed} · {row.status}"
+                    words = (
+                        f"{row.run or row.id} · {retell(row.request['budget'])} · {retell(f'seed {seed}')}"
+                    )
+                    words += f" · {retell(row.status)}"
                     button = ui.button(words, on_click=partial(self.choose, row.id))
                     button.props("flat no-caps dense").classes("w-full mp-item")
 
@@ -208,20 +217,20 @@ class LearnPage:
         """Place the list of studies."""
         rows = catalogue.study_rows(self.service)
         if not rows:
-            empty("No study is installed.")
+            empty(_("No study is installed."))
         for row in rows:
             with ui.element("div").classes("mp-row items-center no-wrap"):
-                ui.label(f"{row['id']}: {row['title']}").classes("mp-soft grow")
-                go = ui.button("Show", on_click=partial(self.show_study, row["id"])).props(
+                ui.label(f"{row['id']}: {retell(row['title'])}").classes("mp-soft grow")
+                go = ui.button(_("Show"), on_click=partial(self.show_study, row["id"])).props(
                     "flat dense no-caps"
                 )
-                go.props(f'aria-label="Show {row["id"]}"')
+                go.props(prop_of("aria-label", _("Show {name}", name=row["id"])))
 
     def show_study(self, key: str) -> None:
         """Show the published page of a study, and the table of the newest reproduction here."""
         self.tables.clear()
         with self.tables:
-            with card(key, "Reproduced here"):
+            with card(key, _("Reproduced here")):
                 try:
                     study_table(catalogue.study_table(self.service, key))
                 except Refused:
@@ -230,9 +239,9 @@ class LearnPage:
                         for job in self.service.store.jobs("study")
                         if job.request["study"] == key and job.status in GOING
                     ]
-                    words = "Not reproduced here yet; quick takes about 2 min."
-                    empty(going[0].words or going[0].status if going else words)
-                again = ActionButton("Reproduce (quick)", on_click=lambda: self.reproduce(key))
+                    words = _("Not reproduced here yet; quick takes about 2 min.")
+                    empty(retell(going[0].words or going[0].status) if going else words)
+                again = ActionButton(_("Reproduce (quick)"), on_click=lambda: self.reproduce(key))
                 again.props("outline no-caps")
             with self.problem.show_errors():
                 published_page(catalogue.study_page(key))
@@ -261,28 +270,26 @@ class ExportForm:
 
     def build(self) -> None:
         """Place fields, button and status."""
-        with card("On a controller", "A learned driver under protection as C, or in a page of its own."):
+        with card(
+            _("On a controller"), _("A learned driver under protection as C, or in a page of its own.")
+        ):
             self.problem = Problem()
             lines = {row["id"]: row["name"] for row in catalogue.line_rows(self.service)}
             trainsets = {row["id"]: row["name"] for row in catalogue.trainset_rows(self.service)}
-            drivers = {
-                name: words
-                for name, words in driver_names(self.service).items()
-                if name.startswith("learned:") or describe_driver(name).startswith("Learned")
-            }
+            drivers = {name: words for name, words in driver_names(self.service).items() if is_learned(name)}
             stops = names(catalogue.line_out(self.service, "yizhuang")["stops"])
             self.fields: dict[str, Any] = {
-                "driver": ui.select(drivers, value="ppo", label="Driver to export"),
-                "line": ui.select(lines, value="yizhuang", label="Line", on_change=self.change_line),
-                "origin": ui.select(stops, value="RJ", label="From"),
-                "destination": ui.select(stops, value="WYJ", label="To"),
-                "trainset": ui.select(trainsets, value="dkz32", label="Trainset"),
-                "to": ui.select({"c": "C", "wasm": "WebAssembly and a page"}, value="c", label="As"),
-                "number": ui.select(["double", "float"], value="double", label="Numbers"),
+                "driver": ui.select(drivers, value="ppo", label=_("Driver to export")),
+                "line": ui.select(lines, value="yizhuang", label=_("Line"), on_change=self.change_line),
+                "origin": ui.select(stops, value="RJ", label=_("From")),
+                "destination": ui.select(stops, value="WYJ", label=_("To")),
+                "trainset": ui.select(trainsets, value="dkz32", label=_("Trainset")),
+                "to": ui.select({"c": "C", "wasm": _("WebAssembly and a page")}, value="c", label=_("As")),
+                "number": ui.select(["double", "float"], value="double", label=_("Numbers")),
             }
             for name, field in self.fields.items():
                 self.problem.beside(name, field.props("outlined dense options-dense").classes("w-full"))
-            ActionButton("Export", on_click=self.start).props('unelevated data-test="export"')
+            ActionButton(_("Export"), on_click=self.start).props('unelevated data-test="export"')
             self.status = ui.label("").classes("mp-soft").props('aria-live=polite data-test="export-status"')
             self.files = ui.element("div")
 
@@ -309,7 +316,7 @@ class ExportForm:
         """Show the state, and the download once it is there."""
         with self.problem.show_errors():
             row = self.service.store.job(self.job)
-            self.status.text = f"{row.status}: {row.words}" if row.words else row.status
+            self.status.text = retell(f"{row.status}: {row.words}" if row.words else row.status)
             self.going = row.status in GOING
             if row.status == "done":
                 with self.files:
@@ -322,26 +329,35 @@ class ExportForm:
 
 def published_page(found: PublishedStudy) -> None:
     """Show the published page of a study: verdicts, rows, figures."""
-    with card(found.title, found.written):
+    with card(retell(found.title), retell(found.written)):
         if found.verdicts:
-            ui.label(found.summary).classes("mp-soft").props('data-test="verdict"')
+            ui.label(retell(found.summary)).classes("mp-soft").props('data-test="verdict"')
             rows = []
             for row in found.verdicts:
                 style = VERDICTS.get(row["verdict"], "")
-                words = [row[name] for name in ("claim", "unit", "published", "ours", "interval", "rival")]
-                rows.append((*words, (row["verdict"], style), row["why"]))
-            columns = ("claim of the paper", "unit", "published", "ours", "interval", "simple rival")
-            table((*columns, "verdict", "why"), rows, right=(2, 3, 4), name="Verdicts")
-        listed = DataTable("Published rows", STUDY_ROWS)
+                words = [
+                    retell(row[name]) for name in ("claim", "unit", "published", "ours", "interval", "rival")
+                ]
+                rows.append((*words, (retell(row["verdict"]), style), retell(row["why"])))
+            columns = (
+                _("claim of the paper"),
+                _("unit"),
+                _("published"),
+                _("ours"),
+                _("interval"),
+                _("simple rival"),
+            )
+            table((*columns, _("verdict"), _("why")), rows, right=(2, 3, 4), name=_("Verdicts"))
+        listed = DataTable(_("Published rows"), STUDY_ROWS)
         listed.build()
         listed.fill([{"id": k, **asdict(row)} for k, row in enumerate(found.rows)])
     if found.figures:
-        with card("Figures"):
+        with card(_("Figures")):
             for figure in found.figures:
-                ui.label(figure.caption).classes("mp-soft")
+                ui.label(retell(figure.caption)).classes("mp-soft")
                 picture = ui.element("img").classes("mp-picture")
                 picture.props["src"] = f"/api/studies/{found.id}/figures/{figure.name}"
-                picture.props["alt"] = figure.caption
+                picture.props["alt"] = retell(figure.caption)
 
 
 def study_table(rows: list[dict[str, Any]]) -> None:
@@ -361,8 +377,17 @@ def study_table(rows: list[dict[str, Any]]) -> None:
         )
         for r in rows
     ]
-    columns = ("table", "case", "driver", "KPI", "published", "ours", "range", "optimum")
-    table(columns, cells, right=(4, 5, 6, 7), name="Published, reproduced, optimum")
+    columns = (
+        _("table"),
+        _("case"),
+        _("driver"),
+        _("KPI"),
+        _("published"),
+        _("ours"),
+        _("range"),
+        _("optimum"),
+    )
+    table(columns, cells, right=(4, 5, 6, 7), name=_("Published, reproduced, optimum"))
 
 
 def figures(value: float | None) -> str:
@@ -372,16 +397,16 @@ def figures(value: float | None) -> str:
 
 VERDICTS = {"beaten": "mp-pass", "matched": "mp-pass", "missed": "mp-fail"}
 STUDY_ROWS = (
-    DataColumn("table", "Table", filtered=True, wide=True),
-    DataColumn("case", "Case"),
-    DataColumn("driver", "Driver", filtered=True),
-    DataColumn("kpi", "KPI", filtered=True),
-    DataColumn("unit", "Unit", wide=True),
-    DataColumn("published", "Published", digits=3),
-    DataColumn("ours", "Ours", digits=3),
-    DataColumn("low", "Smallest", digits=3, wide=True),
-    DataColumn("high", "Largest", digits=3, wide=True),
-    DataColumn("optimum", "Optimum", digits=3, wide=True),
+    DataColumn("table", N_("Table"), filtered=True, wide=True),
+    DataColumn("case", N_("Case")),
+    DataColumn("driver", N_("Driver"), filtered=True),
+    DataColumn("kpi", N_("KPI"), filtered=True),
+    DataColumn("unit", N_("Unit"), wide=True),
+    DataColumn("published", N_("Published"), digits=3),
+    DataColumn("ours", N_("Ours"), digits=3),
+    DataColumn("low", N_("Smallest"), digits=3, wide=True),
+    DataColumn("high", N_("Largest"), digits=3, wide=True),
+    DataColumn("optimum", N_("Optimum"), digits=3, wide=True),
 )
 
 

@@ -20,6 +20,7 @@ from metropilot.web.pages.frame import (
     heading,
     links,
     number,
+    prop_of,
     strip,
     table,
     upload_field,
@@ -27,9 +28,11 @@ from metropilot.web.pages.frame import (
 from metropilot.web.pages.plots import effort_figure, line_figure
 from metropilot.web.pages.strip import line_strip
 from metropilot.web.service import SUFFIXES, Service
+from metropilot.web.words.language import N_, _
+from metropilot.web.words.said import retell
 from metropilot.web.work.plans import effort_curves
 
-WHERE = ("file", "field", "value", "unit", "allowed")
+WHERE = (N_("file"), N_("field"), N_("value"), N_("unit"), N_("allowed"))
 
 
 class LinesPage:
@@ -41,20 +44,23 @@ class LinesPage:
     def build(self) -> None:
         """Build the list and the upload on the left and the line on the right."""
         with ui.element("div").classes("mp-col"):
-            with card("Lines"):
+            with card(_("Lines")):
                 self.list = ui.element("div").classes("mp-stack")
-            with card("Trainsets"):
+            with card(_("Trainsets")):
                 self.trainsets = ui.element("div").classes("mp-stack").props('data-test="trainsets"')
-                ui.link("Fit a trainset to logs", "/fit").classes("mp-soft").props('data-test="to-fit"')
+                ui.link(_("Fit a trainset to logs"), "/fit").classes("mp-soft").props('data-test="to-fit"')
             most = f"{self.service.settings.upload_bytes / 1e6:g} MB"
             with card(
-                "Upload",
-                "A line or a trainset (metropilot's TOML, TTOBench's JSON), "
-                f"or a learned policy (safetensors), up to {most}.",
+                _("Upload"),
+                _(
+                    "A line or a trainset (metropilot's TOML, TTOBench's JSON), or a learned policy "
+                    "(safetensors), up to {most}.",
+                    most=most,
+                ),
             ):
                 largest = self.service.settings.upload_bytes
                 self.upload_in = upload_field(
-                    "Choose a file", SUFFIXES, largest, self.upload, lambda: self.refuse_large(most)
+                    _("Choose a file"), SUFFIXES, largest, self.upload, lambda: self.refuse_large(most)
                 )
                 self.said = ui.element("div").classes("mp-stack").props('role=status data-test="upload-said"')
         with ui.element("div").classes("mp-col"):
@@ -66,7 +72,8 @@ class LinesPage:
         self.list.clear()
         with self.list:
             for row in catalogue.line_rows(self.service):
-                words = f"{row['name']} · {row['stations']} stations · {row['length_m'] / 1000:.1f} km"
+                told = {"stations": row["stations"], "length": f"{row['length_m'] / 1000:.1f}"}
+                words = _("{name} · {stations} stations · {length} km", name=row["name"], **told)
                 self.entry(row, words, self.show)
         self.trainsets.clear()
         with self.trainsets:
@@ -81,7 +88,9 @@ class LinesPage:
             button.props("flat no-caps dense").classes("grow mp-item")
             if row["uploaded"]:
                 forget = ActionButton(icon="delete", on_click=partial(self.forget, row["id"]))
-                forget.props(f'flat dense round aria-label="Remove {row["id"]}"')
+                forget.props("flat dense round").props(
+                    prop_of("aria-label", _("Remove {name}", name=row["id"]))
+                )
 
     def show(self, key: str) -> None:
         """Draw a line."""
@@ -93,12 +102,18 @@ class LinesPage:
                 empty(str(error))
                 return
             with card(
-                found["name"], f"{found['stations']} stations, {found['length_m'] / 1000:.3f} km · id {key}"
+                found["name"],
+                _(
+                    "{stations} stations, {length} km · id {key}",
+                    stations=found["stations"],
+                    length=f"{found['length_m'] / 1000:.3f}",
+                    key=key,
+                ),
             ):
-                strip("Whole line", line_strip(found))
+                strip(_("Whole line"), line_strip(found))
                 ui.plotly(line_figure(found)).classes("mp-plot")
                 self.edit_link("line", found)
-            with card("Sections"):
+            with card(_("Sections")):
                 rows = [
                     (
                         f"{s['origin']}–{s['destination']}",
@@ -108,19 +123,19 @@ class LinesPage:
                     )
                     for s in found["sections"]
                 ]
-                columns = ("section", "length (m)", "planned there (s)", "planned back (s)")
-                table(columns, rows, right=range(1, 4), name="Sections")
-            self.notes("Notes", found["notes"])
-            self.notes("Read but unused", found["unused"])
-            self.notes("Sources", [f"{block}: {text}" for block, text in found["source"].items()])
+                columns = (_("section"), _("length (m)"), _("planned there (s)"), _("planned back (s)"))
+                table(columns, rows, right=range(1, 4), name=_("Sections"))
+            self.notes(_("Notes"), found["notes"])
+            self.notes(_("Read but unused"), found["unused"])
+            self.notes(_("Sources"), [f"{block}: {text}" for block, text in found["source"].items()])
 
     @staticmethod
     def edit_link(kind: str, found: dict[str, Any]) -> None:
         """Place the links by which an entry is edited and driven."""
-        words = "Edit" if found["uploaded"] else "Edit a copy"
+        words = _("Edit") if found["uploaded"] else _("Edit a copy")
         used = f"{kind}={found['id']}"
-        shown = [(words, f"/edit?{used}"), ("Drive", f"/?{used}")]
-        shown += [("Fit to logs", f"/fit?{used}")] if kind == "trainset" else []
+        shown = [(words, f"/edit?{used}"), (_("Drive"), f"/?{used}")]
+        shown += [(_("Fit to logs"), f"/fit?{used}")] if kind == "trainset" else []
         links([*shown, ("TOML", f"/api/{kind}s/{found['id']}/toml")])
 
     def show_trainset(self, key: str) -> None:
@@ -136,7 +151,7 @@ class LinesPage:
             with card(found["name"], f"{found['length_m']:.0f} m · id {key}"):
                 ui.plotly(effort_figure(curves)).classes("mp-plot").props('data-test="effort"')
                 rows = [(name, number(kg / 1000, 1)) for name, kg in found["loads_kg"].items()]
-                table(("load", "mass (t)"), rows, right=(1,), name="Loads")
+                table((_("load"), _("mass (t)")), rows, right=(1,), name=_("Loads"))
                 self.edit_link("trainset", found)
 
     @staticmethod
@@ -158,9 +173,11 @@ class LinesPage:
             return
         self.said.clear()
         with self.said:
-            ui.label(f"✓ {row.kind} “{row.name}” taken as {row.id}").classes("mp-pass")
+            ui.label(
+                _("✓ {kind} “{name}” taken as {id}", kind=retell(row.kind), name=row.name, id=row.id)
+            ).classes("mp-pass")
             for note in found["notes"]:
-                ui.label(note).classes("mp-soft")
+                ui.label(retell(note)).classes("mp-soft")
         self.fill()
         if row.kind == "line":
             self.show(row.id)
@@ -172,16 +189,18 @@ class LinesPage:
         told = detail_of(error)
         self.said.clear()
         with self.said:
-            heading("This file cannot be used")
-            ui.label(told["message"]).classes("mp-error")
-            rows = [(name, str(told[name])) for name in WHERE if told[name] is not None]
-            table(("", ""), rows, name="What is wrong")
+            heading(_("This file cannot be used"))
+            ui.label(retell(told["message"])).classes("mp-error")
+            rows = [(_(name), str(told[name])) for name in WHERE if told[name] is not None]
+            table(("", ""), rows, name=_("What is wrong"))
 
     def refuse_large(self, most: str) -> None:
         """Show the error of a file that the browser refused to send."""
         self.said.clear()
         with self.said:
-            ui.label(f"not taken: a .toml, .json or .safetensors file of at most {most}").classes("mp-error")
+            ui.label(
+                _("not taken: a .toml, .json or .safetensors file of at most {most}", most=most)
+            ).classes("mp-error")
 
     def forget(self, key: str) -> None:
         """Remove an upload."""

@@ -22,6 +22,7 @@ from metropilot.web.pages.frame import (
     heading,
     links,
     number,
+    prop_of,
     reads,
     refresh_while,
     table,
@@ -31,6 +32,8 @@ from metropilot.web.pages.running import RunningCard
 from metropilot.web.schemas.requests import OperationIn
 from metropilot.web.service import Service
 from metropilot.web.store import OVER, JobRow
+from metropilot.web.words.language import N_, _
+from metropilot.web.words.said import retell
 
 POLL_S = 0.5
 SHORTEST_S, LONGEST_S = 60, 900
@@ -40,12 +43,12 @@ FIELDS = tuple(name for name in field_specs(OperationOptions) if name not in {"h
 LISTED = 300
 """Newest jobs among which those with the same settings are looked for."""
 ROWS = (
-    ("cruise and brake", "plain, mean offset", "cruise_kwh"),
-    ("optimal driving", "plain, mean offset", "driving_only_kwh"),
-    ("cruise and brake", "best found", "timetable_only_kwh"),
-    ("optimal driving", "best found", "energy_kwh"),
-    ("floor", "any", "floor_kwh"),
-    ("floor, all received", "any", "all_received_floor_kwh"),
+    (N_("cruise and brake"), N_("plain, mean offset"), "cruise_kwh"),
+    (N_("optimal driving"), N_("plain, mean offset"), "driving_only_kwh"),
+    (N_("cruise and brake"), N_("best found"), "timetable_only_kwh"),
+    (N_("optimal driving"), N_("best found"), "energy_kwh"),
+    (N_("floor"), N_("any"), "floor_kwh"),
+    (N_("floor, all received"), N_("any"), "all_received_floor_kwh"),
 )
 
 
@@ -82,19 +85,22 @@ class OperationPage:
         with (
             ui.element("div").classes("mp-col"),
             card(
-                "Line in operation", "All trains of a line: their energy, and the floor that none undercuts."
+                _("Line in operation"),
+                _("All trains of a line: their energy, and the floor that none undercuts."),
             ),
         ):
             self.problem = Problem()
             first = "dkz32" if "dkz32" in trainsets else next(iter(trainsets))
             fields: dict[str, ui.select] = {
-                "line": ui.select(lines, value="yizhuang", label="Line", on_change=self.change_line),
+                "line": ui.select(lines, value="yizhuang", label=_("Line"), on_change=self.change_line),
                 "trainset": ui.select(
-                    trainsets, value=first, label="Trainset", on_change=self.change_trainset
+                    trainsets, value=first, label=_("Trainset"), on_change=self.change_trainset
                 ),
-                "load": ui.select(loads(self.service, first), label="Load", on_change=self.change),
-                "day": ui.select({"": "One headway"}, value="", label="Timetable", on_change=self.change),
-                "feeding": ui.select({"": "Zones"}, value="", label="Feeding", on_change=self.change),
+                "load": ui.select(loads(self.service, first), label=_("Load"), on_change=self.change),
+                "day": ui.select(
+                    {"": _("One headway")}, value="", label=_("Timetable"), on_change=self.change
+                ),
+                "feeding": ui.select({"": _("Zones")}, value="", label=_("Feeding"), on_change=self.change),
             }
             fields["load"].value = next(iter(fields["load"].options))
             self.fields = fields
@@ -103,7 +109,8 @@ class OperationPage:
             with ui.element("div").classes("mp-stack") as self.periodic:
                 self.slider = ui.slider(
                     min=SHORTEST_S, max=LONGEST_S, step=5, value=180, on_change=self.drag
-                ).props('label aria-label="Headway in seconds" data-test="headway"')
+                ).props('label data-test="headway"')
+                self.slider.props(prop_of("aria-label", _("Headway in seconds")))
                 self.slider.on("change", self.release)
                 self.headway = number_field(OperationIn, "headway_s")
                 # not on every change of its value: those that the slider makes come back late
@@ -111,26 +118,26 @@ class OperationPage:
                 self.problem.beside("headway_s", self.headway)
             self.zones = number_field(OperationIn, "zones", on_change=self.change)
             self.problem.beside("zones", self.zones)
-            self.more = FoldedNumbers(OperationIn, "Dwells, windows, messages, losses", FIELDS)
+            self.more = FoldedNumbers(OperationIn, _("Dwells, windows, messages, losses"), FIELDS)
             self.more.build(self.problem, self.change)
             self.optimise = ui.checkbox(
-                "Search dwells and running times too (minutes)", on_change=self.change
+                _("Search dwells and running times too (minutes)"), on_change=self.change
             )
-            self.seed = number_field(OperationIn, "seed", label="Seed of the search", step=1)
+            self.seed = number_field(OperationIn, "seed", label=_("Seed of the search"), step=1)
             self.problem.beside("seed", self.seed)
             self.seed.bind_visibility_from(self.optimise, "value")
             with ui.element("div").classes("mp-row"):
-                ActionButton("Compute", on_click=self.start).props('unelevated data-test="compute"')
-                self.sweep_button = ActionButton("Sweep headways", on_click=self.sweep).props(
+                ActionButton(_("Compute"), on_click=self.start).props('unelevated data-test="compute"')
+                self.sweep_button = ActionButton(_("Sweep headways"), on_click=self.sweep).props(
                     'outline data-test="sweep"'
                 )
-                ActionButton("Stop", on_click=self.stop).props('outline data-test="stop"')
+                ActionButton(_("Stop"), on_click=self.stop).props('outline data-test="stop"')
             self.status = ui.label("").classes("mp-soft").props('aria-live=polite data-test="status"')
         with ui.element("div").classes("mp-col"):
             with card():
                 self.result = ui.element("div").classes("mp-stack").props('data-test="result"')
             self.running.build()
-            with card("Over the headway") as self.curve_card:
+            with card(_("Over the headway")) as self.curve_card:
                 self.curve = (
                     ui.plotly(headways_figure({}, 180.0)).classes("mp-plot").props('data-test="curve"')
                 )
@@ -142,8 +149,8 @@ class OperationPage:
         name = catalogue.line(self.service, line).id
         days = {row["id"]: row["name"] for row in catalogue.day_rows() if row["line"] == name}
         fed = {row["id"]: row["name"] for row in self.feedings if line in row["lines"]}
-        self.fields["day"].set_options({"": "One headway", **days}, value="")
-        self.fields["feeding"].set_options({"": "Zones, no network", **fed}, value="")
+        self.fields["day"].set_options({"": _("One headway"), **days}, value="")
+        self.fields["feeding"].set_options({"": _("Zones, no network"), **fed}, value="")
         self.running.fill_stations(line)
 
     def request(self, headway_s: float | None = None) -> OperationIn:
@@ -199,9 +206,9 @@ class OperationPage:
 
     def type_headway(self) -> None:
         """Move the slider to the headway of the field."""
-        if self.headway.value is not None:
+        if self.headway.number is not None:
             self.filling = True
-            self.slider.value = min(max(self.headway.value, SHORTEST_S), LONGEST_S)
+            self.slider.value = min(max(self.headway.number, SHORTEST_S), LONGEST_S)
             self.filling = False
             self.show()
 
@@ -269,7 +276,7 @@ class OperationPage:
 
     def look(self) -> None:
         """Show the progress of the jobs, and their results."""
-        going = "queued"
+        going = _("queued")
         for job in list(self.jobs):
             row = self.service.store.job(job)
             if row.status in OVER:
@@ -277,8 +284,9 @@ class OperationPage:
                 if row.status == "failed":
                     self.fail(row)
             elif row.status == "running":
-                left = f", {len(self.jobs) - 1} more" if len(self.jobs) > 1 else ""
-                going = f"{self.name(row)}: {row.progress:.0%} · {row.words}{left}"
+                going = f"{self.name(row)}: {row.progress:.0%} · {retell(row.words)}"
+                if len(self.jobs) > 1:
+                    going += ", " + _("{count} more", count=len(self.jobs) - 1)
         self.status.text = going if self.jobs else ""
         try:
             self.find()
@@ -290,14 +298,14 @@ class OperationPage:
         """Show why a job failed."""
         told = row.error or {"message": row.words}
         if len(self.jobs):
-            ui.notify(f"{self.name(row)}: {told['message']}", type="warning")
+            ui.notify(f"{self.name(row)}: {retell(told['message'])}", type="warning")
         else:
             self.problem.show(error_of(told))
 
     @staticmethod
     def name(row: JobRow) -> str:
         """Name of what a job computes."""
-        return row.request["day"] or f"every {row.request['headway_s']} s"
+        return row.request["day"] or _("every {headway} s", headway=row.request["headway_s"])
 
     def stop(self) -> None:
         """Stop every job of this page."""
@@ -308,7 +316,7 @@ class OperationPage:
     def show(self) -> None:
         """Show the result of the headway or day of the fields."""
         day = bool(self.fields["day"].value)
-        at = 0 if day else round(self.headway.value or 0)
+        at = 0 if day else round(self.headway.number or 0)
         if not day:
             self.draw_curve(float(at))
         job, found = self.found.get(at, ("", None))
@@ -319,8 +327,13 @@ class OperationPage:
         self.result.clear()
         with self.result:
             if found is None:
-                what = "This day" if day else f"A headway of {number(at, 0, 's')}"
-                empty(f"{what} is not computed for these settings. Press Compute.")
+                what = _("This day is not computed for these settings. Press Compute.")
+                if not day:
+                    what = _(
+                        "A headway of {headway} is not computed for these settings. Press Compute.",
+                        headway=number(at, 0, "s"),
+                    )
+                empty(what)
                 return
             ui.run_javascript(f"history.replaceState(null, '', '/line?job={job}')")
             self.show_energies(found, day=day)
@@ -331,7 +344,7 @@ class OperationPage:
         now = {h: job for h, (job, _) in self.found.items()}, headway_s
         if now != self.drawn:
             self.drawn = now
-            energies = {h: found["energies"] for h, (_, found) in self.found.items()}
+            energies = {h: found["energies"] for h, (_job, found) in self.found.items()}
             self.curve.update_figure(headways_figure(energies, headway_s))
 
     @staticmethod
@@ -342,27 +355,31 @@ class OperationPage:
     def show_energies(self, found: dict[str, Any], *, day: bool) -> None:
         """Show numbers, train graph and energies."""
         told, least = found["energies"], found["bottleneck"]
-        unit = "kWh a day" if day else "kWh a round trip"
-        heading(told["day"] if day else f"{told['line']}, every {told['headway_s']} s")
+        unit = _("kWh a day") if day else _("kWh a round trip")
+        heading(
+            told["day"]
+            if day
+            else _("{line}, every {headway} s", line=told["line"], headway=told["headway_s"])
+        )
         network = told["feeding"].get("network")
         items = [
-            ("energy", number(told["energy_kwh"], 1, "kWh"), ""),
-            ("floor", number(told["floor_kwh"], 1, "kWh"), ""),
-            ("gap", number(told["gap_percent"], 2, "%"), ""),
-            ("saved by both", number(100 * (1 - told["energy_kwh"] / told["cruise_kwh"]), 1, "%"), ""),
-            ("trains", str(told["fleet"]), ""),
+            (_("energy"), number(told["energy_kwh"], 1, "kWh"), ""),
+            (_("floor"), number(told["floor_kwh"], 1, "kWh"), ""),
+            (_("gap"), number(told["gap_percent"], 2, "%"), ""),
+            (_("saved by both"), number(100 * (1 - told["energy_kwh"] / told["cruise_kwh"]), 1, "%"), ""),
+            (_("trains"), str(told["fleet"]), ""),
             (
-                ("highest minute", number(told["peak_minute_w"] / 1e6, 1, "MW"), "")
+                (_("highest minute"), number(told["peak_minute_w"] / 1e6, 1, "MW"), "")
                 if least is None
-                else ("technical headway", number(least["headway_s"], 1, "s"), "")
+                else (_("technical headway"), number(least["headway_s"], 1, "s"), "")
             ),
         ]
         reads(items)
         ui.plotly(operation_figure(found["graph"], day=day)).classes("mp-plot").props('data-test="graph"')
         rows = [
             (
-                driving,
-                timetable,
+                _(driving),
+                _(timetable),
                 number(told[name], 1),
                 number(100 * (1 - told[name] / told["cruise_kwh"]), 2),
                 number(100 * (told[name] / told["floor_kwh"] - 1), 2),
@@ -370,24 +387,43 @@ class OperationPage:
             for driving, timetable, name in ROWS
             if name in told
         ]
-        table(("driving", "timetable", unit, "saved %", "gap %"), rows, right=(2, 3, 4), name="Energies")
-        words = (
-            f"Of {told['returned_kwh']:.1f} kWh that braking trains return, "
-            f"{told['unreceived_kwh']:.1f} reach no other train."
+        table(
+            (_("driving"), _("timetable"), unit, _("saved %"), _("gap %")),
+            rows,
+            right=(2, 3, 4),
+            name=_("Energies"),
         )
+        words = [
+            _(
+                "Of {returned} kWh that braking trains return, {unreceived} reach no other train.",
+                returned=f"{told['returned_kwh']:.1f}",
+                unreceived=f"{told['unreceived_kwh']:.1f}",
+            )
+        ]
         if least is not None:
-            words += (
-                f" Least technical headway {least['headway_s']:.1f} s, at {least['kind']} {least['name']}, "
-                f"{least['direction']}."
+            words.append(
+                _(
+                    "Least technical headway {headway} s, at {kind} {name}, {direction}.",
+                    headway=f"{least['headway_s']:.1f}",
+                    kind=retell(least["kind"]),
+                    name=least["name"],
+                    direction=retell(least["direction"]),
+                )
             )
         if network is not None:
-            words += (
-                f" Feeding {network['id']}: {network['energy_kwh']:.1f} kWh; rails lose "
-                f"{network['rail_loss_kwh']:.1f}, substations {network['substation_loss_kwh']:.1f}; lowest "
-                f"voltage {network['lowest_v']:.0f} V, peak of all substations "
-                f"{network['peak_w'] / 1e6:.1f} MW."
+            words.append(
+                _(
+                    "Feeding {network}: {energy} kWh; rails lose {rails}, substations {substations}; lowest "
+                    "voltage {voltage} V, peak of all substations {peak} MW.",
+                    network=network["id"],
+                    energy=f"{network['energy_kwh']:.1f}",
+                    rails=f"{network['rail_loss_kwh']:.1f}",
+                    substations=f"{network['substation_loss_kwh']:.1f}",
+                    voltage=f"{network['lowest_v']:.0f}",
+                    peak=f"{network['peak_w'] / 1e6:.1f}",
+                )
             )
-        ui.label(words).classes("mp-soft").props('data-test="words"')
+        ui.label(" ".join(words)).classes("mp-soft").props('data-test="words"')
 
     def load(self) -> None:
         """Fill the form with the linked job and follow it; runs once the page is connected."""

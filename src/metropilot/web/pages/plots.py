@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from typing import Any
 
 from metropilot.evaluate import BLACK, BLUE, GREEN, GREY, ORANGE, SERIES_STYLES, SKY, VERMILION, driver_styles
 from metropilot.fit import NORMAL_95
 from metropilot.units import J_PER_KWH, KMH_PER_MPS
+from metropilot.web.words.language import N_, _
+from metropilot.web.words.said import retell
 
 DASHES = dict(
     zip(
@@ -43,9 +45,16 @@ def figure(traces: Sequence[Trace], height: int, **layout: Any) -> Figure:  # no
     return {"data": list(traces), "layout": {**base, **layout}, "config": CONFIG}
 
 
-def blank(height: int, words: str = "computing …") -> Figure:
-    """Make an empty figure of a height, with words."""
-    said = {"text": words, "showarrow": False, "xref": "paper", "yref": "paper", "x": 0.5, "y": 0.5}
+def blank(height: int, words: str = "") -> Figure:
+    """Make an empty figure of a height, with words; without, that it is being computed."""
+    said = {
+        "text": words or _("computing …"),
+        "showarrow": False,
+        "xref": "paper",
+        "yref": "paper",
+        "x": 0.5,
+        "y": 0.5,
+    }
     hidden = {"visible": False}
     return figure([], height, xaxis=hidden, yaxis=hidden, annotations=[said])
 
@@ -100,14 +109,14 @@ def run_figure() -> Figure:
     """Figure of a live run, filled by the browser: speed, limit, permitted speed, plan; command; energy."""
     below = {"hoverinfo": "skip", "showlegend": False}
     traces = [
-        line("speed limit", [], [], BLACK, width=1.4, shape="hv"),
-        line("permitted speed", [], [], ORANGE, width=1.6, dash="dash"),
-        line("optimal plan", [], [], SKY, width=6.0, opacity=0.65),
-        line("driven", [], [], BLUE, width=2.2),
+        line(_("speed limit"), [], [], BLACK, width=1.4, shape="hv"),
+        line(_("permitted speed"), [], [], ORANGE, width=1.6, dash="dash"),
+        line(_("optimal plan"), [], [], SKY, width=6.0, opacity=0.65),
+        line(_("driven"), [], [], BLUE, width=2.2),
         {
             "type": "scatter",
             "mode": "markers",
-            "name": "protection",
+            "name": _("protection"),
             "x": [],
             "y": [],
             "marker": {"symbol": "triangle-down", "size": 10, "color": VERMILION},
@@ -120,24 +129,24 @@ def run_figure() -> Figure:
             "marker": {"size": 10, "color": BLUE, "line": {"width": 2, "color": "#fff"}},
             **below,
         },
-        line("command", [], [], BLUE, width=1.4, shape="hv", fill="tozeroy", yaxis="y2", showlegend=False),
-        line("plan's energy", [], [], SKY, width=6.0, opacity=0.65, yaxis="y3", showlegend=False),
-        line("energy at the wheel", [], [], BLUE, yaxis="y3", showlegend=False),
-        line("net at the line", [], [], GREY, width=1.4, dash="dash", yaxis="y3"),
+        line(_("command"), [], [], BLUE, width=1.4, shape="hv", fill="tozeroy", yaxis="y2", showlegend=False),
+        line(_("plan's energy"), [], [], SKY, width=6.0, opacity=0.65, yaxis="y3", showlegend=False),
+        line(_("energy at the wheel"), [], [], BLUE, yaxis="y3", showlegend=False),
+        line(_("net at the line"), [], [], GREY, width=1.4, dash="dash", yaxis="y3"),
     ]
     return figure(
         traces,
         560,
-        xaxis=axis("distance (m)", anchor="y3"),
-        yaxis=axis("speed (km/h)", domain=[0.46, 1.0], rangemode="tozero"),
+        xaxis=axis(_("distance (m)"), anchor="y3"),
+        yaxis=axis(_("speed (km/h)"), domain=[0.46, 1.0], rangemode="tozero"),
         yaxis2=axis(
-            "command",
+            _("command"),
             domain=[0.29, 0.41],
             range=[-1.1, 1.1],
             tickvals=[-1, 0, 1],
-            ticktext=["brake", "", "power"],
+            ticktext=[_("brake"), "", _("power")],
         ),
-        yaxis3=axis("energy (kWh)", domain=[0.0, 0.24], rangemode="tozero"),
+        yaxis3=axis(_("energy (kWh)"), domain=[0.0, 0.24], rangemode="tozero"),
     )
 
 
@@ -174,22 +183,22 @@ def drive_figure(driven: dict[str, Any]) -> Figure:
     return _fill(run_figure(), values)
 
 
-def _fill(made: Figure, values: dict[int, tuple[Sequence[float], Sequence[float]]]) -> Figure:
+def _fill(made: Figure, values: Mapping[int, tuple[Sequence[Any], Sequence[Any]]]) -> Figure:
     """Fill traces of a figure with curves, by number."""
     for index, (x, y) in values.items():
         made["data"][index]["x"], made["data"][index]["y"] = list(x), list(y)
     return made
 
 
-REGIME_COLOURS = {"power": VERMILION, "cruise": GREY, "coast": GREEN, "brake": BLUE}
+REGIME_COLOURS = {N_("power"): VERMILION, N_("cruise"): GREY, N_("coast"): GREEN, N_("brake"): BLUE}
 BOUND_COLOURS = {
-    "protection": VERMILION,
-    "speed limit": BLACK,
-    "permitted speed": ORANGE,
-    "effort": BLUE,
-    "comfort": SKY,
-    "stop": GREY,
-    "time": GREEN,
+    N_("protection"): VERMILION,
+    N_("speed limit"): BLACK,
+    N_("permitted speed"): ORANGE,
+    N_("effort"): BLUE,
+    N_("comfort"): SKY,
+    N_("stop"): GREY,
+    N_("time"): GREEN,
 }
 
 
@@ -202,37 +211,40 @@ def explanation_figure(driven: dict[str, Any]) -> Figure:
     columns, told, plan = driven["columns"], driven["explanation"], driven["plan"]
     at = columns["position_m"]
     traces = [
-        line("speed limit", at, kmh(columns["limit_mps"]), BLACK, width=1.4, shape="hv"),
-        line("permitted speed", at, kmh(columns["permitted_mps"]), ORANGE, width=1.6, dash="dash"),
-        line("driven", at, kmh(columns["speed_mps"]), BLUE, width=2.2),
+        line(_("speed limit"), at, kmh(columns["limit_mps"]), BLACK, width=1.4, shape="hv"),
+        line(_("permitted speed"), at, kmh(columns["permitted_mps"]), ORANGE, width=1.6, dash="dash"),
+        line(_("driven"), at, kmh(columns["speed_mps"]), BLUE, width=2.2),
     ]
     if plan is not None:
         optimal = line(
-            "optimal plan", plan["position_m"], kmh(plan["speed_mps"]), SKY, width=6.0, opacity=0.65
+            _("optimal plan"), plan["position_m"], kmh(plan["speed_mps"]), SKY, width=6.0, opacity=0.65
         )
         traces.insert(2, optimal)
     hits = told["interventions"]
     if hits:
         marker = {"symbol": "triangle-down", "size": 10, "color": VERMILION}
-        shown = {"type": "scatter", "mode": "markers", "name": "protection", "marker": marker}
+        shown = {"type": "scatter", "mode": "markers", "name": _("protection"), "marker": marker}
         places = [hit["from_m"] for hit in hits]
         speeds = kmh([hit["speed_mps"] for hit in hits])
-        traces.append({**shown, "x": places, "y": speeds, "text": [hit["guard"] for hit in hits]})
+        traces.append({**shown, "x": places, "y": speeds, "text": [retell(hit["guard"]) for hit in hits]})
     for bound, colour in BOUND_COLOURS.items():
         spans = [span for span in told["bounds"] if span["bound"] == bound and span["to_m"] > span["from_m"]]
         x = [value for span in spans for value in (span["from_m"], span["to_m"], None)]
-        y = [bound if value is not None else None for value in x]
+        y = [_(bound) if value is not None else None for value in x]
         if x:
             more = {"hoverinfo": "x+name", "showlegend": False, "yaxis": "y2"}
-            traces.append(line(bound, x, y, colour, width=12.0, **more))
-    losses = {"trainset": ("trainset_loss_j", GREY, "solid"), "driver": ("driver_loss_j", VERMILION, "dash")}
+            traces.append(line(_(bound), x, y, colour, width=12.0, **more))
+    losses = {
+        _("lost by the trainset"): ("trainset_loss_j", GREY, "solid"),
+        _("lost by the driver"): ("driver_loss_j", VERMILION, "dash"),
+    }
     for words, (name, colour, dash) in losses.items():
         lost = kwh(told[name])
-        traces.append(line(f"lost by the {words}", told["position_m"], lost, colour, dash=dash, yaxis="y3"))
+        traces.append(line(words, told["position_m"], lost, colour, dash=dash, yaxis="y3"))
     prices = told.get("prices", [])
     worth = {
-        "a second more saves": ("later_j", GREEN, "solid"),
-        "a second less costs": ("sooner_j", BLUE, "dash"),
+        _("a second more saves"): ("later_j", GREEN, "solid"),
+        _("a second less costs"): ("sooner_j", BLUE, "dash"),
     }
     for words, (name, colour, dash) in worth.items():
         kwhs = [None if price[name] is None else price[name] / J_PER_KWH for price in prices]
@@ -255,16 +267,18 @@ def explanation_figure(driven: dict[str, Any]) -> Figure:
         for span in told["regimes"]
         if span["regime"] in REGIME_COLOURS
     ]
-    order = [bound for bound in reversed(BOUND_COLOURS) if any(s["bound"] == bound for s in told["bounds"])]
+    order = [
+        _(bound) for bound in reversed(BOUND_COLOURS) if any(s["bound"] == bound for s in told["bounds"])
+    ]
     return figure(
         traces,
         760,
         shapes=bands,
-        xaxis=axis("distance (m)", anchor="y4"),
-        yaxis=axis("speed (km/h)", domain=[0.6, 1.0], rangemode="tozero"),
+        xaxis=axis(_("distance (m)"), anchor="y4"),
+        yaxis=axis(_("speed (km/h)"), domain=[0.6, 1.0], rangemode="tozero"),
         yaxis2=axis("", domain=[0.39, 0.56], type="category", categoryorder="array", categoryarray=order),
-        yaxis3=axis("loss (kWh)", domain=[0.2, 0.35]),
-        yaxis4=axis("a second (kWh)", domain=[0.0, 0.16], rangemode="tozero"),
+        yaxis3=axis(_("loss (kWh)"), domain=[0.2, 0.35]),
+        yaxis4=axis(_("a second (kWh)"), domain=[0.0, 0.16], rangemode="tozero"),
         hovermode="closest",
     )
 
@@ -279,16 +293,16 @@ def difference_figure(found: dict[str, Any]) -> Figure:
     traces = [
         line(names[0], at, first, BLUE),
         line(names[1], at, second, VERMILION, dash="dash"),
-        line("time of b − a", at, late, GREEN, yaxis="y2", showlegend=False, fill="tozeroy"),
-        line("energy of b − a", at, more, ORANGE, yaxis="y3", showlegend=False, fill="tozeroy"),
+        line(_("time of b − a"), at, late, GREEN, yaxis="y2", showlegend=False, fill="tozeroy"),
+        line(_("energy of b − a"), at, more, ORANGE, yaxis="y3", showlegend=False, fill="tozeroy"),
     ]
     return figure(
         traces,
         560,
-        xaxis=axis("distance (m)", anchor="y3"),
-        yaxis=axis("speed (km/h)", domain=[0.5, 1.0], rangemode="tozero"),
-        yaxis2=axis("b − a (s)", domain=[0.26, 0.44]),
-        yaxis3=axis("b − a (kWh)", domain=[0.0, 0.2]),
+        xaxis=axis(_("distance (m)"), anchor="y3"),
+        yaxis=axis(_("speed (km/h)"), domain=[0.5, 1.0], rangemode="tozero"),
+        yaxis2=axis(_("b − a (s)"), domain=[0.26, 0.44]),
+        yaxis3=axis(_("b − a (kWh)"), domain=[0.0, 0.2]),
     )
 
 
@@ -296,14 +310,14 @@ def compare_figure(entries: Sequence[dict[str, Any]]) -> Figure:
     """Figure of speed and energy over distance of several drivers."""
     first = entries[0]["drive"]
     at = first["columns"]["position_m"]
-    traces = [line("speed limit", at, kmh(first["columns"]["limit_mps"]), BLACK, width=1.4, shape="hv")]
+    traces = [line(_("speed limit"), at, kmh(first["columns"]["limit_mps"]), BLACK, width=1.4, shape="hv")]
     if first["plan"]:
         plan = first["plan"]
         where = plan["position_m"]
-        traces.append(line("optimal plan", where, kmh(plan["speed_mps"]), SKY, width=6.0, opacity=0.65))
+        traces.append(line(_("optimal plan"), where, kmh(plan["speed_mps"]), SKY, width=6.0, opacity=0.65))
         work = kwh(plan["energy_wheel_so_far_j"])
         below = {"yaxis": "y2", "showlegend": False, "opacity": 0.65}
-        traces.append(line("plan's energy", where, work, SKY, width=6.0, **below))
+        traces.append(line(_("plan's energy"), where, work, SKY, width=6.0, **below))
     styles = driver_styles([entry["driver"] for entry in entries])
     for entry in entries:
         columns, name = entry["drive"]["columns"], entry["driver"]
@@ -316,9 +330,9 @@ def compare_figure(entries: Sequence[dict[str, Any]]) -> Figure:
     return figure(
         traces,
         520,
-        xaxis=axis("distance (m)", anchor="y2"),
-        yaxis=axis("speed (km/h)", domain=[0.4, 1.0], rangemode="tozero"),
-        yaxis2=axis("energy at the wheel (kWh)", domain=[0.0, 0.33], rangemode="tozero"),
+        xaxis=axis(_("distance (m)"), anchor="y2"),
+        yaxis=axis(_("speed (km/h)"), domain=[0.4, 1.0], rangemode="tozero"),
+        yaxis2=axis(_("energy at the wheel (kWh)"), domain=[0.0, 0.33], rangemode="tozero"),
     )
 
 
@@ -329,11 +343,11 @@ def front_figure(
     energy = kwh(front["energy_j"])
     time_s, here = cursor
     traces = [
-        line("optimum", front["time_s"], energy, SKY, width=4.0, mode="lines+markers", shape="spline"),
+        line(_("optimum"), front["time_s"], energy, SKY, width=4.0, mode="lines+markers", shape="spline"),
         {
             "type": "scatter",
             "mode": "markers",
-            "name": "cursor",
+            "name": _("cursor"),
             "x": [time_s],
             "y": [here],
             "marker": {"size": 13, "color": SKY, "line": {"width": 3, "color": "#fff"}},
@@ -366,8 +380,8 @@ def front_figure(
     return figure(
         traces,
         380,
-        xaxis=axis("running time (s)"),
-        yaxis=axis("energy at the wheel (kWh)"),
+        xaxis=axis(_("running time (s)")),
+        yaxis=axis(_("energy at the wheel (kWh)")),
         shapes=shapes,
         hovermode="closest",
     )
@@ -377,13 +391,13 @@ def journey_figure(journey: dict[str, Any]) -> Figure:
     """Train graph: distance over time, with stations as lines and the energy of each section."""
     calls = journey["calls"]
     minutes = [t / 60 for t in journey["time_s"]]
-    path = line("trainset", minutes, [s / 1000 for s in journey["position_m"]], BLUE, width=2.4)
+    path = line(_("trainset"), minutes, [s / 1000 for s in journey["position_m"]], BLUE, width=2.4)
     path["hovertemplate"] = "%{x:.2f} min, %{y:.2f} km<extra></extra>"
     ticks = [c["position_m"] / 1000 for c in calls]
     return figure(
         [path],
         460,
-        xaxis=axis("time since departure (min)"),
+        xaxis=axis(_("time since departure (min)")),
         yaxis=axis("", tickvals=ticks, ticktext=[c["station"] for c in calls], showgrid=True),
         hovermode="closest",
         showlegend=False,
@@ -392,19 +406,19 @@ def journey_figure(journey: dict[str, Any]) -> Figure:
 
 
 PATHS = {
-    "draws": ("draws", VERMILION),
-    "stands": ("coasts or stands", GREY),
-    "returns": ("returns", GREEN),
-    "forward": ("forward", BLUE),
-    "backward": ("backward", VERMILION),
+    "draws": (N_("draws"), VERMILION),
+    "stands": (N_("coasts or stands"), GREY),
+    "returns": (N_("returns"), GREEN),
+    "forward": (N_("forward"), BLUE),
+    "backward": (N_("backward"), VERMILION),
 }
 """Name and colour of each kind of path of a train graph of many trains."""
 HEADWAY_SERIES = {
-    "cruise_kwh": ("cruise and brake, plain timetable", GREY, "dash"),
-    "timetable_only_kwh": ("cruise and brake, timetable found", GREY, "solid"),
-    "driving_only_kwh": ("optimal driving, plain timetable", BLUE, "dash"),
-    "energy_kwh": ("optimal driving, timetable found", BLUE, "solid"),
-    "floor_kwh": ("floor", VERMILION, "dot"),
+    "cruise_kwh": (N_("cruise and brake, plain timetable"), GREY, "dash"),
+    "timetable_only_kwh": (N_("cruise and brake, timetable found"), GREY, "solid"),
+    "driving_only_kwh": (N_("optimal driving, plain timetable"), BLUE, "dash"),
+    "energy_kwh": (N_("optimal driving, timetable found"), BLUE, "solid"),
+    "floor_kwh": (N_("floor"), VERMILION, "dot"),
 }
 """Energies over the headway: label, colour and style."""
 
@@ -422,14 +436,14 @@ def line_figure(values: dict[str, Any]) -> Figure:
     low: Trace = {"width": 1.4, "shape": "hv", "fill": "tozeroy", "yaxis": "y2"}
     return figure(
         [
-            line("speed limit (km/h)", km[0], limits[1], BLACK, width=1.6, shape="hv"),
-            line("gradient (‰)", km[1], slopes[1], BLUE, **low),
+            line(_("speed limit (km/h)"), km[0], limits[1], BLACK, width=1.6, shape="hv"),
+            line(_("gradient (‰)"), km[1], slopes[1], BLUE, **low),
         ],
         380,
         showlegend=False,
-        xaxis=axis("position (km)", anchor="y2"),
-        yaxis=axis("limit (km/h)", domain=[0.55, 1.0], rangemode="tozero"),
-        yaxis2=axis("gradient (‰)", domain=[0.0, 0.45]),
+        xaxis=axis(_("position (km)"), anchor="y2"),
+        yaxis=axis(_("limit (km/h)"), domain=[0.55, 1.0], rangemode="tozero"),
+        yaxis2=axis(_("gradient (‰)"), domain=[0.0, 0.45]),
     )
 
 
@@ -441,18 +455,18 @@ def effort_figure(curves: dict[str, Any]) -> Figure:
     """
     at = kmh(curves["speed_mps"])
     forces = (
-        ("traction", "traction_n", BLUE, "solid"),
-        ("electric brake", "electric_brake_n", GREEN, "solid"),
-        ("all brakes", "brake_n", GREEN, "dash"),
-        ("resistance, level", "resistance_n", VERMILION, "solid"),
+        (_("traction"), "traction_n", BLUE, "solid"),
+        (_("electric brake"), "electric_brake_n", GREEN, "solid"),
+        (_("all brakes"), "brake_n", GREEN, "dash"),
+        (_("resistance, level"), "resistance_n", VERMILION, "solid"),
     )
     traces = [
         line(label, at, [f / 1000 for f in curves[name]], colour, dash=dash)
         for label, name, colour, dash in forces
     ]
     rates = (
-        ("acceleration", "acceleration_mps2", BLUE),
-        ("deceleration", "deceleration_mps2", GREEN),
+        (_("acceleration"), "acceleration_mps2", BLUE),
+        (_("deceleration"), "deceleration_mps2", GREEN),
     )
     traces += [
         line(label, at, curves[name], colour, yaxis="y2", showlegend=False) for label, name, colour in rates
@@ -460,9 +474,9 @@ def effort_figure(curves: dict[str, Any]) -> Figure:
     return figure(
         traces,
         460,
-        xaxis=axis("speed (km/h)", anchor="y2"),
-        yaxis=axis("force (kN)", domain=[0.48, 1.0], rangemode="tozero"),
-        yaxis2=axis("rate, level (m/s²)", domain=[0.0, 0.38], rangemode="tozero"),
+        xaxis=axis(_("speed (km/h)"), anchor="y2"),
+        yaxis=axis(_("force (kN)"), domain=[0.48, 1.0], rangemode="tozero"),
+        yaxis2=axis(_("rate, level (m/s²)"), domain=[0.0, 0.38], rangemode="tozero"),
         margin={"l": 58, "r": 14, "t": 50, "b": 44},
     )
 
@@ -482,12 +496,12 @@ def residual_figure(residuals: dict[str, Any], noise_mps: float) -> Figure:
     dots = {"mode": "markers", "marker": {"size": 3, "color": GREY}}
     far = {"mode": "markers", "marker": {"size": 3, "color": BLUE}, "yaxis": "y2", "showlegend": False}
     traces = [
-        line("measured", at, measured, GREY, **dots),
-        line("simulated", at, simulated, BLUE, width=1.4),
-        line("measured − simulated", at, residuals["residual_mps"], BLUE, **far),
+        line(_("measured"), at, measured, GREY, **dots),
+        line(_("simulated"), at, simulated, BLUE, width=1.4),
+        line(_("measured − simulated"), at, residuals["residual_mps"], BLUE, **far),
         {
             "type": "bar",
-            "name": "correlation",
+            "name": _("correlation"),
             "x": residuals["lag_s"],
             "y": residuals["correlation"],
             "marker": {"color": BLUE},
@@ -513,11 +527,11 @@ def residual_figure(residuals: dict[str, Any], noise_mps: float) -> Figure:
         traces,
         640,
         shapes=ends,
-        xaxis=axis("time since the start of each run (s)", anchor="y2"),
-        xaxis2=axis("seconds between two residuals", anchor="y3"),
-        yaxis=axis("speed (km/h)", domain=[0.66, 1.0], rangemode="tozero"),
-        yaxis2=axis("residual (m/s)", domain=[0.36, 0.61], range=[-5 * noise_mps, 5 * noise_mps]),
-        yaxis3=axis("correlation", domain=[0.0, 0.2], range=[-0.5, 1.0]),
+        xaxis=axis(_("time since the start of each run (s)"), anchor="y2"),
+        xaxis2=axis(_("seconds between two residuals"), anchor="y3"),
+        yaxis=axis(_("speed (km/h)"), domain=[0.66, 1.0], rangemode="tozero"),
+        yaxis2=axis(_("residual (m/s)"), domain=[0.36, 0.61], range=[-5 * noise_mps, 5 * noise_mps]),
+        yaxis3=axis(_("correlation"), domain=[0.0, 0.2], range=[-0.5, 1.0]),
         hovermode="closest",
     )
 
@@ -529,14 +543,14 @@ def operation_figure(graph: dict[str, Any], *, day: bool) -> Figure:
         graph: Values of :class:`metropilot.web.schemas.responses.TrainGraphOut`.
         day: True for a day, in hours; else a few headways, in seconds.
     """
-    scale, unit = (3600.0, "time of day (h)") if day else (1.0, "time (s)")
+    scale, unit = (3600.0, _("time of day (h)")) if day else (1.0, _("time (s)"))
     traces = []
     for kind, (name, colour) in PATHS.items():
         path = graph["paths"].get(kind)
         if path is not None:
             time = [None if t is None else round(t / scale, 4) for t in path["time_s"]]
             at = [None if x is None else x / 1000 for x in path["position_m"]]
-            traces.append(line(name, time, at, colour, width=1.0 if day else 1.5, hoverinfo="skip"))
+            traces.append(line(_(name), time, at, colour, width=1.0 if day else 1.5, hoverinfo="skip"))
     ticks = [stop["position_m"] / 1000 for stop in graph["stops"]]
     return figure(
         traces,
@@ -551,26 +565,58 @@ def operation_figure(graph: dict[str, Any], *, day: bool) -> Figure:
 def running_figure() -> Figure:
     """Figure of a running line, filled by the browser: train graph, delays, energy and floor over time."""
     kinds = (
-        ("on time", GREY, 1.0),
-        ("more than 5 s late", ORANGE, 1.6),
-        ("more than 1 min late", VERMILION, 2.0),
+        (_("on time"), GREY, 1.0),
+        (_("more than 5 s late"), ORANGE, 1.6),
+        (_("more than 1 min late"), VERMILION, 2.0),
     )
     traces = [line(name, [], [], colour, width=width, hoverinfo="skip") for name, colour, width in kinds]
     traces += [
-        line("delays of all", [], [], VERMILION, yaxis="y2", showlegend=False),
-        line("energy", [], [], BLUE, yaxis="y3"),
-        line("floor", [], [], BLACK, dash="dash", yaxis="y3"),
-        line("trains", [], [], BLUE, mode="markers", showlegend=False, hoverinfo="skip"),
+        line(_("delays of all"), [], [], VERMILION, yaxis="y2", showlegend=False),
+        line(_("energy"), [], [], BLUE, yaxis="y3"),
+        line(_("floor"), [], [], BLACK, dash="dash", yaxis="y3"),
+        line(_("trains"), [], [], BLUE, mode="markers", showlegend=False, hoverinfo="skip"),
     ]
     return figure(
         traces,
         640,
-        xaxis=axis("time (min)", anchor="y3"),
+        xaxis=axis(_("time (min)"), anchor="y3"),
         yaxis=axis("", domain=[0.42, 1.0]),
-        yaxis2=axis("delay (min)", domain=[0.22, 0.37], rangemode="tozero"),
-        yaxis3=axis("energy (kWh)", domain=[0.0, 0.17], rangemode="tozero"),
+        yaxis2=axis(_("delay (min)"), domain=[0.22, 0.37], rangemode="tozero"),
+        yaxis3=axis(_("energy (kWh)"), domain=[0.0, 0.17], rangemode="tozero"),
         hovermode=False,
     )
+
+
+LATE_S = (5.0, 60.0)
+"""Delays above which a path of a running line has another colour; line.js has them, too."""
+
+
+def finished_line_figure(graph: dict[str, Any]) -> Figure:
+    """Figure of a running line at its end, as the browser had drawn it.
+
+    Args:
+        graph: Values of :class:`metropilot.web.schemas.responses.RunningGraphOut`.
+    """
+    made = running_figure()
+    minutes = [t / 60 for t in graph["time_s"]]
+    paths: list[tuple[list[float | None], list[float | None]]] = [
+        ([], []) for _late in range(len(LATE_S) + 1)
+    ]
+    for k, (at, late) in enumerate(zip(graph["position_m"], graph["delay_s"], strict=True)):
+        for before, now, delay_s in zip(graph["position_m"][k - 1] if k else (), at, late, strict=False):
+            x, y = paths[sum(delay_s > bound for bound in LATE_S)]
+            x += [minutes[k - 1], minutes[k], None]
+            y += [before / 1000, now / 1000, None]
+    sums = [sum(max(s, 0.0) for s in row) / 60 for row in graph["delay_s"]]
+    last = [m / 1000 for m in graph["position_m"][-1]] if minutes else []
+    drawn = [(minutes, sums), (minutes, graph["energy_kwh"]), (minutes, graph["floor_kwh"])]
+    _fill(made, dict(enumerate([*paths, *drawn, ([minutes[-1]] * len(last) if minutes else [], last)])))
+    stops = graph["stops"]
+    made["layout"]["yaxis"] |= {
+        "tickvals": [s["position_m"] / 1000 for s in stops],
+        "ticktext": [s["code"] for s in stops],
+    }
+    return made
 
 
 def headways_figure(found: dict[int, dict[str, Any]], headway_s: float) -> Figure:
@@ -582,15 +628,15 @@ def headways_figure(found: dict[int, dict[str, Any]], headway_s: float) -> Figur
     """
     at = sorted(found)
     traces = [
-        line(label, at, [found[h][name] for h in at], colour, dash=dash, mode="lines+markers")
+        line(_(label), at, [found[h][name] for h in at], colour, dash=dash, mode="lines+markers")
         for name, (label, colour, dash) in HEADWAY_SERIES.items()
     ]
     now = {"type": "line", "x0": headway_s, "x1": headway_s, "yref": "paper", "y0": 0, "y1": 1}
     return figure(
         traces,
         360,
-        xaxis=axis("headway (s)"),
-        yaxis=axis("energy of a round trip (kWh)"),
+        xaxis=axis(_("headway (s)")),
+        yaxis=axis(_("energy of a round trip (kWh)")),
         shapes=[{**now, "line": {"color": SKY, "width": 1}}],
         margin={"l": 58, "r": 14, "t": 64, "b": 44},
     )
@@ -604,15 +650,15 @@ def sections_figure(journey: dict[str, Any]) -> Figure:
     reserve = [100 * (c["running_time_s"] / max(c["minimum_running_time_s"], 1e-9) - 1) for c in calls[1:]]
     bars = {"type": "bar", "x": names, "showlegend": False}
     traces = [
-        {**bars, "name": "energy (kWh)", "y": energy, "marker": {"color": BLUE}},
-        {**bars, "name": "reserve (%)", "y": reserve, "marker": {"color": ORANGE}, "yaxis": "y2"},
+        {**bars, "name": _("energy (kWh)"), "y": energy, "marker": {"color": BLUE}},
+        {**bars, "name": _("reserve (%)"), "y": reserve, "marker": {"color": ORANGE}, "yaxis": "y2"},
     ]
     return figure(
         traces,
         400,
         xaxis=axis("", anchor="y2", tickangle=-45),
-        yaxis=axis("energy (kWh)", domain=[0.54, 1.0], rangemode="tozero"),
-        yaxis2=axis("reserve (%)", domain=[0.0, 0.44], rangemode="tozero"),
+        yaxis=axis(_("energy (kWh)"), domain=[0.54, 1.0], rangemode="tozero"),
+        yaxis2=axis(_("reserve (%)"), domain=[0.0, 0.44], rangemode="tozero"),
         margin={"l": 58, "r": 14, "t": 12, "b": 70},
     )
 
@@ -624,22 +670,25 @@ MOST = 6
 def convoy_figure() -> Figure:
     """Figure of a live convoy, filled by the browser: gaps, speed differences and speeds over time."""
     traces = []
-    for kind, where in (("gap", "y"), ("difference", "y2")):
+    for message, where in (
+        (N_("gap {first} to {second}"), "y"),
+        (N_("difference {first} to {second}"), "y2"),
+    ):
         for k in range(MOST):
             colour, dashes = SERIES_STYLES[k % len(SERIES_STYLES)]
             style: Trace = {"dash": DASHES[dashes], "yaxis": where, "showlegend": False}
-            traces.append(line(f"{kind} {k + 1} to {k + 2}", [], [], colour, **style))
+            traces.append(line(_(message, first=k + 1, second=k + 2), [], [], colour, **style))
     for k in range(MOST):
         colour, dashes = (BLACK, "-") if k == 0 else SERIES_STYLES[(k - 1) % len(SERIES_STYLES)]
         style = {"dash": DASHES[dashes], "yaxis": "y3", "showlegend": k < 3}
-        traces.append(line("head" if k == 0 else f"trainset {k + 1}", [], [], colour, **style))
+        traces.append(line(_("head") if k == 0 else _("trainset {k}", k=k + 1), [], [], colour, **style))
     return figure(
         traces,
         560,
-        xaxis=axis("time since departure (s)", anchor="y3"),
-        yaxis=axis("gap (m)", domain=[0.66, 1.0], rangemode="tozero"),
-        yaxis2=axis("difference (km/h)", domain=[0.36, 0.6]),
-        yaxis3=axis("speed (km/h)", domain=[0.0, 0.3], rangemode="tozero"),
+        xaxis=axis(_("time since departure (s)"), anchor="y3"),
+        yaxis=axis(_("gap (m)"), domain=[0.66, 1.0], rangemode="tozero"),
+        yaxis2=axis(_("difference (km/h)"), domain=[0.36, 0.6]),
+        yaxis3=axis(_("speed (km/h)"), domain=[0.0, 0.3], rangemode="tozero"),
     )
 
 
@@ -665,15 +714,17 @@ def history_figure(columns: dict[str, list[float | None]]) -> Figure:
     gap = columns.get("evaluation.gap_percent", [])
     late = columns.get("evaluation.late_worst_s", [])
     traces = [
-        line("safe and on time", steps, share, BLUE, width=2.4, **marks),
-        line("energy above the optimum, of those", steps, gap, VERMILION, dash="dash", yaxis="y2", **marks),
-        line("worst time error", steps, late, GREEN, dash="dot", yaxis="y3", **marks),
+        line(_("safe and on time"), steps, share, BLUE, width=2.4, **marks),
+        line(
+            _("energy above the optimum, of those"), steps, gap, VERMILION, dash="dash", yaxis="y2", **marks
+        ),
+        line(_("worst time error"), steps, late, GREEN, dash="dot", yaxis="y3", **marks),
     ]
     return figure(
         traces,
         560,
-        xaxis=axis("environment steps", anchor="y3", rangemode="tozero"),
-        yaxis=axis("drives (%)", domain=[0.7, 1.0], range=[-3, 103]),
-        yaxis2=axis("energy (%)", domain=[0.36, 0.62], rangemode="tozero"),
-        yaxis3=axis("time (s)", domain=[0.0, 0.28], rangemode="tozero"),
+        xaxis=axis(_("environment steps"), anchor="y3", rangemode="tozero"),
+        yaxis=axis(_("drives (%)"), domain=[0.7, 1.0], range=[-3, 103]),
+        yaxis2=axis(_("energy (%)"), domain=[0.36, 0.62], rangemode="tozero"),
+        yaxis3=axis(_("time (s)"), domain=[0.0, 0.28], rangemode="tozero"),
     )

@@ -10,11 +10,22 @@ from nicegui import events, ui
 
 from metropilot.web import projects
 from metropilot.web.pages.form import validate
-from metropilot.web.pages.frame import ActionButton, Problem, card, for_users, links, question, upload_field
+from metropilot.web.pages.frame import (
+    ActionButton,
+    Problem,
+    card,
+    for_users,
+    links,
+    prop_of,
+    question,
+    upload_field,
+)
 from metropilot.web.schemas.requests import ProjectIn
 from metropilot.web.service import Service
+from metropilot.web.words.language import N_, _
+from metropilot.web.words.said import retell
 
-EVERY = "every run"
+EVERY = N_("every run")
 
 
 class ProjectCard:
@@ -38,11 +49,11 @@ class ProjectCard:
         """Place the list of projects with its buttons; errors are shown where the page shows them."""
         self.problem = problem
         with ui.element("div").classes("mp-row items-center"):
-            self.choice = ui.select(self.names(EVERY), value=self.key or "", label="Project")
+            self.choice = ui.select(self.names(_(EVERY)), value=self.key or "", label=_("Project"))
             self.choice.props("outlined dense options-dense").classes("mp-filter")
             self.choice.on_value_change(lambda event: self.choose(event.value))
-            ActionButton("New project", on_click=self.begin).props('outline data-test="new-project"')
-            ActionButton("Import", on_click=self.ask_archive).props('outline data-test="import"')
+            ActionButton(_("New project"), on_click=self.begin).props('outline data-test="new-project"')
+            ActionButton(_("Import"), on_click=self.ask_archive).props('outline data-test="import"')
 
     def build(self) -> None:
         """Place the card of the chosen project."""
@@ -59,7 +70,7 @@ class ProjectCard:
     def show(self, key: str) -> None:
         """Show a project that is new in the list."""
         self.key = None
-        self.choice.set_options(self.names(EVERY), value=key)
+        self.choice.set_options(self.names(_(EVERY)), value=key)
         self.choose(key)
 
     def fill(self) -> None:
@@ -68,14 +79,14 @@ class ProjectCard:
         if self.key is None:
             return
         found = projects.project_out(self.service, self.key)
-        begun = f"Begun by {found['user']}." if found["user"] else ""
+        begun = _("Begun by {user}.", user=found["user"]) if found["user"] else ""
         with self.place, card(found["name"], begun) as made:
             made.props('data-test="project"')
             self.told = Problem()
-            self.name = ui.input("Name of the project", value=found["name"]).props(
+            self.name = ui.input(_("Name of the project"), value=found["name"]).props(
                 "outlined dense maxlength=80"
             )
-            self.notes = ui.textarea("Notes", value=found["notes"]).props("outlined dense autogrow")
+            self.notes = ui.textarea(_("Notes"), value=found["notes"]).props("outlined dense autogrow")
             self.notes.props("debounce=300")
             for field in (self.name, self.notes):
                 for_users(field.classes("w-full").on("blur", self.keep))
@@ -85,27 +96,28 @@ class ProjectCard:
                 self.upload_row(upload)
             inside = {upload["id"] for upload in found["uploads"]}
             others = {
-                row.id: f"{row.kind} · {row.name}"
+                row.id: f"{retell(row.kind)} · {row.name}"
                 for row in self.service.store.uploads()
                 if row.id not in inside
             }
             if others:
-                add = ui.select(others, label="Add an own line, trainset, policy or log")
+                add = ui.select(others, label=_("Add an own line, trainset, policy or log"))
                 for_users(add.props("outlined dense options-dense").classes("w-full"))
                 add.on_value_change(lambda event: self.put(event.value, self.key))
-            links([("Export", f"/api/projects/{self.key}/archive")])
-            forget = ActionButton("Remove project", on_click=self.forget).props("flat dense no-caps")
-            forget.tooltip("Its runs, lines and trainsets stay.")
+            links([(_("Export"), f"/api/projects/{self.key}/archive")])
+            forget = ActionButton(_("Remove project"), on_click=self.forget).props("flat dense no-caps")
+            forget.tooltip(_("Its runs, lines and trainsets stay."))
 
     def upload_row(self, upload: dict[str, Any]) -> None:
         """Place a line, trainset, policy or log of the project."""
         kind, key = upload["kind"], upload["id"]
         with ui.element("div").classes("mp-row items-center no-wrap"):
-            ui.label(f"{kind} · {upload['name']}").classes("grow")
+            ui.label(f"{retell(kind)} · {upload['name']}").classes("grow")
             if kind in {"line", "trainset"}:
-                links([("Edit", f"/edit?{kind}={key}"), ("Drive", f"/?{kind}={key}")])
+                links([(_("Edit"), f"/edit?{kind}={key}"), (_("Drive"), f"/?{kind}={key}")])
             out = ActionButton(icon="remove", on_click=partial(self.put, key, None)).props("flat dense round")
-            out.props(f'aria-label="Take {upload["name"]} out of the project"')
+            words = _("Take {name} out of the project", name=upload["name"])
+            out.props(prop_of("aria-label", words))
 
     def put(self, upload: str, project: str | None) -> None:
         """File a line, trainset, policy or log in the project, or take it out."""
@@ -118,24 +130,26 @@ class ProjectCard:
         with self.told.show_errors():
             body = validate(ProjectIn, {"name": self.name.value or "", "notes": self.notes.value or ""})
             self.service.store.update_project(self.key or "", name=body.name, notes=body.notes)
-            self.choice.set_options(self.names(EVERY), value=self.key)
+            self.choice.set_options(self.names(_(EVERY)), value=self.key)
 
     def forget(self) -> None:
         """Remove the project; what it holds stays."""
         with self.problem.show_errors():
             self.service.store.forget_project(self.key or "")
-            self.choice.set_options(self.names(EVERY), value="")
+            self.choice.set_options(self.names(_(EVERY)), value="")
 
     def begin(self) -> None:
         """Begin a project and show it."""
         with self.problem.show_errors():
-            self.show(self.service.store.new_project("New project").id)
+            self.show(self.service.store.new_project(_("New project")).id)
 
     async def ask_archive(self) -> None:
         """Ask for an archive and show its project."""
         most = self.service.settings.archive_bytes
-        with question("Import a project") as dialog:
-            ui.label(f"An archive that Export made, up to {most / 1e6:g} MB.").classes("mp-soft")
+        with question(_("Import a project")) as dialog:
+            ui.label(
+                _("An archive that Export made, up to {most} MB.", most=f"{most / 1000000.0:g}")
+            ).classes("mp-soft")
             problem = Problem()
 
             async def take(event: events.UploadEventArguments) -> None:
@@ -144,10 +158,10 @@ class ProjectCard:
                     dialog.submit(row.id)
 
             def refuse() -> None:
-                problem.label.text = f"not taken: a .zip file of at most {most / 1e6:g} MB"
+                problem.label.text = _("not taken: a .zip file of at most {most} MB", most=f"{most / 1e6:g}")
 
-            upload_field("Choose an archive", (".zip",), most, take, refuse)
-            ui.button("Cancel", on_click=dialog.close).props("flat")
+            upload_field(_("Choose an archive"), (".zip",), most, take, refuse)
+            ui.button(_("Cancel"), on_click=dialog.close).props("flat")
         key = await dialog
         dialog.delete()
         if key is not None:

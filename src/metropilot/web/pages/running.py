@@ -13,24 +13,25 @@ from metropilot.web.errors import Refused, error_of
 from metropilot.web.live.line import DELAYS
 from metropilot.web.live.session import Session
 from metropilot.web.pages.form import names, number_field, validate
-from metropilot.web.pages.frame import ActionButton, Problem, for_users, links, number, reads
-from metropilot.web.pages.plots import running_figure
+from metropilot.web.pages.frame import ActionButton, Problem, for_users, links, number, prop_of, reads
+from metropilot.web.pages.plots import finished_line_figure, running_figure
 from metropilot.web.schemas.requests import NewHold, NewSlowSection, RunningLineIn
 from metropilot.web.service import RESUMABLE, Service
 from metropilot.web.store import JobRow
+from metropilot.web.words.language import N_, _, translate_each
 
-PACES = {1: "real time", 5: "5 ×", 10: "10 ×", 30: "30 ×", 60: "60 ×", 0: "pause"}
+PACES = {1: N_("real time"), 5: "5 ×", 10: "10 ×", 30: "30 ×", 60: "60 ×", 0: N_("pause")}
 READS = (
-    ("time", "–", "time"),
-    ("trains", "–", "trains"),
-    ("late", "–", "late"),
-    ("latest", "–", "worst"),
-    ("energy", "–", "energy"),
-    ("above the floor", "–", "gap"),
-    ("waited for a train", "–", "waits"),
-    ("stopped behind one", "–", "stops"),
+    (N_("time"), "–", "time"),
+    (N_("trains"), "–", "trains"),
+    (N_("late"), "–", "late"),
+    (N_("latest"), "–", "worst"),
+    (N_("energy"), "–", "energy"),
+    (N_("above the floor"), "–", "gap"),
+    (N_("waited for a train"), "–", "waits"),
+    (N_("stopped behind one"), "–", "stops"),
 )
-WAYS = {"forward": "as the stations are listed", "backward": "the other way"}
+WAYS = {"forward": N_("as the stations are listed"), "backward": N_("the other way")}
 
 
 class RunningCard:
@@ -50,47 +51,57 @@ class RunningCard:
         self.root = ui.element("section").classes("mp-card").props('data-test="running" data-status="none"')
         with self.root, ui.element("div").classes("mp-stack"):
             with ui.element("div").classes("mp-row items-center"):
-                ui.label("Live train graph").classes("mp-h").props("role=heading aria-level=2")
-                status = ui.label("not begun").classes("mp-soft")
+                ui.label(_("Live train graph")).classes("mp-h").props("role=heading aria-level=2")
+                status = ui.label(_("not begun")).classes("mp-soft")
                 status.props('data-mp="status" aria-live=polite')
                 ui.label("").classes("mp-soft").props('data-mp="pace"')
             ui.label(
-                "All trains of the line, with headway and options of the form. Hold a train or slow a "
-                "section and watch the delay: trains keep the technical headway, late ones recover with "
-                "their reserves."
+                _(
+                    "All trains of the line, with headway and options of the form. Hold a train or slow a "
+                    "section and watch the delay: trains keep the technical headway, late ones recover with "
+                    "their reserves."
+                )
             ).classes("mp-soft")
             self.problem = Problem()
             self.problem.label.props('data-test="running-problem"')
             with ui.element("div").classes("mp-row items-center"):
-                self.pace = ui.select(PACES, value=30, label="Pace", on_change=self.change_pace)
+                self.pace = ui.select(
+                    translate_each(PACES),
+                    value=30,
+                    label=_("Pace"),
+                    on_change=self.change_pace,
+                )
                 for_users(self.pace).props("outlined dense options-dense").classes("mp-filter")
-                ActionButton("Run", icon="play_arrow", on_click=self.start).props(
+                ActionButton(_("Run"), icon="play_arrow", on_click=self.start).props(
                     'unelevated data-test="run-line"'
                 )
-                ActionButton("Stop", on_click=self.stop).props('outline data-test="stop-line"')
-                self.resume_button = ActionButton("Resume", icon="replay", on_click=self.resume)
+                ActionButton(_("Stop"), on_click=self.stop).props('outline data-test="stop-line"')
+                self.resume_button = ActionButton(_("Resume"), icon="replay", on_click=self.resume)
                 self.resume_button.props('outline data-test="resume-line"').set_visibility(False)
             self.build_events()
             reads(READS)
             self.plot = ui.plotly(running_figure()).classes("mp-plot").props('data-test="running-graph"')
-            ui.element("ul").classes("mp-log").props('data-mp="log" aria-live=polite aria-label="News"')
+            log = ui.element("ul").classes("mp-log").props('data-mp="log" aria-live=polite')
+            log.props(prop_of("aria-label", _("News")))
             self.result = ui.element("div").props('data-test="running-result"')
         self.root.on("mp-result", self.show_result, ["detail"])
 
     def build_events(self) -> None:
         """Place the fields of what is injected."""
         with ui.element("div").classes("mp-row items-start"):
-            self.station = ui.select({}, label="At station").props("outlined dense options-dense")
-            self.way = ui.select(WAYS, value="forward", label="Direction").props(
+            self.station = ui.select({}, label=_("At station")).props("outlined dense options-dense")
+            self.way = ui.select(translate_each(WAYS), value="forward", label=_("Direction")).props(
                 "outlined dense options-dense"
             )
         with ui.element("div").classes("mp-row items-start"):
             self.hold_s = number_field(NewHold, "hold_s")
-            ActionButton("Hold the next train", on_click=self.hold).props('outline data-test="hold"')
+            ActionButton(_("Hold the next train"), on_click=self.hold).props('outline data-test="hold"')
         with ui.element("div").classes("mp-row items-start"):
             self.limit = number_field(NewSlowSection, "limit_mps", value=25)
             self.lasts_s = number_field(NewSlowSection, "lasts_s")
-            ActionButton("Slow the section from there", on_click=self.slow).props('outline data-test="slow"')
+            ActionButton(_("Slow the section from there"), on_click=self.slow).props(
+                'outline data-test="slow"'
+            )
         for name, element in (
             ("station", self.station),
             ("hold_s", self.hold_s),
@@ -117,6 +128,8 @@ class RunningCard:
             self.attach(row.id)
         elif (found := self.service.store.result(row.id)) is not None:
             self.show_summary(row.id, found)
+            if found.get("graph") is not None:
+                self.plot.update_figure(finished_line_figure(found["graph"]))
         self.resume_button.set_visibility(row.status in RESUMABLE)
         if row.error is not None:
             self.problem.show(error_of(row.error))
@@ -203,16 +216,25 @@ class RunningCard:
 def describe_end(found: dict[str, Any]) -> str:
     """Energy, delays and recovery of a running line, in words."""
     energy, gap = number(found["energy_kwh"], 0, "kWh"), number(found["gap_percent"], 2, "%")
-    words = (
-        f"{found['trains']} trains in {found['time_s'] / 60:.0f} min: {energy}, {gap} above the floor; "
-        f"at most {number(found['largest_delay_s'], 0)} s late, {found['waits']} departures waited for the "
-        f"train ahead, {found['stops']} trains were stopped behind one."
+    words = _(
+        "{trains} trains in {minutes} min: {energy}, {gap} above the floor; at most {delay} s late, {waits} "
+        "departures waited for the train ahead, {stops} trains were stopped behind one.",
+        trains=found["trains"],
+        minutes=f"{found['time_s'] / 60:.0f}",
+        energy=energy,
+        gap=gap,
+        delay=number(found["largest_delay_s"], 0),
+        waits=found["waits"],
+        stops=found["stops"],
     )
     if found["disturbed_s"] is not None:
         after = found["recovered_s"]
-        words += (
-            " Not every train is on time again."
+        words += " " + (
+            _("Not every train is on time again.")
             if after is None
-            else f" Every train was on time again {after - found['disturbed_s']:.0f} s after the last event."
+            else _(
+                "Every train was on time again {time} s after the last event.",
+                time=f"{after - found['disturbed_s']:.0f}",
+            )
         )
     return words

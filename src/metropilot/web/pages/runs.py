@@ -23,6 +23,7 @@ from metropilot.web.pages.frame import (
     empty,
     frame,
     number,
+    prop_of,
     question,
     table,
 )
@@ -33,35 +34,37 @@ from metropilot.web.schemas.requests import NameIn
 from metropilot.web.service import ABANDONED_S, RESUMABLE, Service
 from metropilot.web.store import JobRow
 from metropilot.web.users import present_user
+from metropilot.web.words.language import N_, _, ngettext
+from metropilot.web.words.said import retell
 
 EVERY_S = 2.0
 LISTED = 500
 """Newest jobs that the page lists."""
 COLUMNS = (
-    DataColumn("words", "Run", kind="link"),
-    DataColumn("kind", "Kind", filtered=True, wide=True),
-    DataColumn("state", "Status", kind="styled"),
-    DataColumn("status", "Stage", filtered=True, wide=True),
-    DataColumn("time_s", "Time (s)", digits=1, wide=True),
-    DataColumn("energy_kwh", "Energy (kWh)", digits=2),
-    DataColumn("gap_percent", "Gap (%)", digits=2, wide=True),
-    DataColumn("created", "Begun", wide=True),
+    DataColumn("words", N_("Run"), kind="link"),
+    DataColumn("kind", N_("Kind"), filtered=True, wide=True, said=True),
+    DataColumn("state", N_("Status"), kind="styled"),
+    DataColumn("status", N_("Stage"), filtered=True, wide=True, said=True),
+    DataColumn("time_s", N_("Time (s)"), digits=1, wide=True),
+    DataColumn("energy_kwh", N_("Energy (kWh)"), digits=2),
+    DataColumn("gap_percent", N_("Gap (%)"), digits=2, wide=True),
+    DataColumn("created", N_("Begun"), wide=True),
 )
-BY = DataColumn("user", "By", filtered=True, wide=True)
+BY = DataColumn("user", N_("By"), filtered=True, wide=True)
 """Column of who began a run, where users have names."""
 PAIRED = {
-    "running_time_s": ("running time (s)", 1.0, 1),
-    "time_error_s": ("time error (s)", 1.0, 2),
-    "stopping_error_m": ("stopping error (cm)", 100.0, 1),
-    "energy_wheel_kwh": ("energy at the wheel (kWh)", 1.0, 2),
-    "energy_line_kwh": ("energy at the line (kWh)", 1.0, 2),
-    "optimality_gap_percent": ("above the optimum (%)", 1.0, 2),
-    "driver_gap_percent": ("lost by the driver (%)", 1.0, 2),
-    "max_speed_mps": ("highest speed (km/h)", 3.6, 1),
-    "max_jerk_mps3": ("largest jerk (m/s³)", 1.0, 2),
-    "coasting_distance_m": ("coasting (m)", 1.0, 0),
-    "regime_switches": ("changes of regime", 1.0, 0),
-    "interventions": ("interventions", 1.0, 0),
+    "running_time_s": (N_("running time (s)"), 1.0, 1),
+    "time_error_s": (N_("time error (s)"), 1.0, 2),
+    "stopping_error_m": (N_("stopping error (cm)"), 100.0, 1),
+    "energy_wheel_kwh": (N_("energy at the wheel (kWh)"), 1.0, 2),
+    "energy_line_kwh": (N_("energy at the line (kWh)"), 1.0, 2),
+    "optimality_gap_percent": (N_("above the optimum (%)"), 1.0, 2),
+    "driver_gap_percent": (N_("lost by the driver (%)"), 1.0, 2),
+    "max_speed_mps": (N_("highest speed (km/h)"), 3.6, 1),
+    "max_jerk_mps3": (N_("largest jerk (m/s³)"), 1.0, 2),
+    "coasting_distance_m": (N_("coasting (m)"), 1.0, 0),
+    "regime_switches": (N_("changes of regime"), 1.0, 0),
+    "interventions": (N_("interventions"), 1.0, 0),
 }
 """KPIs of two runs side by side: words, scale, digits."""
 
@@ -81,7 +84,11 @@ class RunList:
 
     def build(self) -> None:
         """Place the list."""
-        with card("Live runs", f"One that no viewer for {ABANDONED_S / 60:g} min is stopped.", late=True):
+        with card(
+            _("Live runs"),
+            _("One that no viewer for {minutes} min is stopped.", minutes=f"{ABANDONED_S / 60:g}"),
+            late=True,
+        ):
             self.problem = Problem()
             self.rows = ui.element("div").classes("mp-stack").props('data-test="runs"')
         self.refresh()
@@ -97,7 +104,7 @@ class RunList:
             with self.rows:
                 self.words = {row.id: self.row(row) for row in found}
                 if not found:
-                    empty("No run is under way.")
+                    empty(_("No run is under way."))
         for row in found:
             self.words[row.id].text = self.state(row)
 
@@ -105,35 +112,38 @@ class RunList:
         """Describe the state of a run."""
         session = self.service.sessions.get(row.id)
         if session is None or session.over:
-            return f"{row.status}: {row.words}" if row.words else f"{row.status}; it can be resumed"
+            return retell(f"{row.status}: {row.words}" if row.words else f"{row.status}; it can be resumed")
         known = session.known
         if session.waiting:
-            return f"waits: {place_words(known.place)}"
-        watched = f" · {session.viewers} watching" if session.viewers else " · no viewer"
-        lever = "" if known.lever is None else f" · lever: {known.lever['holder']}"
-        return f"{clock(known.time_s)} · {f'{known.pace:g} ×' if known.pace else 'waiting'}{watched}{lever}"
+            return _("waits: {place}", place=retell(place_words(known.place)))
+        said = [clock(known.time_s), f"{known.pace:g} ×" if known.pace else _("waiting")]
+        said.append(_("{count} watching", count=session.viewers) if session.viewers else _("no viewer"))
+        if known.lever is not None:
+            said.append(_("lever: {holder}", holder=known.lever["holder"]))
+        return " · ".join(said)
 
     def row(self, row: JobRow) -> ui.label:
         """Place the row of a run; return the label of its state."""
-        name, path = row.name or catalogue.describe_job(row), catalogue.page_of(row)
+        name, path = row.name or retell(catalogue.describe_job(row)), catalogue.page_of(row)
         with ui.element("div").classes("mp-run").props(f'data-run="{row.id}" data-status="{row.status}"'):
             by = f" · {row.user}" if row.user else ""
-            ui.label(name + by + (" (this one)" if row.id == self.run else ""))
+            ui.label(name + by + (" " + _("(this one)") if row.id == self.run else ""))
             said = ui.label("").classes("mp-soft")
             with ui.element("div").classes("mp-links"):
                 if row.status in GOING:
-                    ui.link("Open", path).props(f'aria-label="Open {name}"')
-                    words = "Stop" if row.status == "running" else "Cancel"
+                    ui.link(_("Open"), path).props(prop_of("aria-label", _("Open {name}", name=name)))
+                    words = _("Stop") if row.status == "running" else _("Cancel")
                     self.button(words, name, partial(self.stop, row.id))
                 else:
-                    ui.link("Show", path).props(f'aria-label="Show {name}"')
-                    self.button("Resume", name, partial(self.resume, row.id, path))
+                    ui.link(_("Show"), path).props(prop_of("aria-label", _("Show {name}", name=name)))
+                    self.button(_("Resume"), name, partial(self.resume, row.id, path))
         return said
 
     @staticmethod
     def button(words: str, name: str, act: Callable[[], Awaitable[None]]) -> None:
         """Place a small button of a row."""
-        ActionButton(words, on_click=act).props(f'flat dense no-caps aria-label="{words} {name}"')
+        made = ActionButton(words, on_click=act).props("flat dense no-caps")
+        made.props(prop_of("aria-label", _("{action} {row}", action=words, row=name)))
 
     async def stop(self, run: str) -> None:
         """Stop a run, or take it out of the queue; it can be resumed."""
@@ -168,15 +178,17 @@ class RunsPage:
         """Place the list, and below it two runs against each other."""
         with ui.element("div").classes("mp-col mp-wide"):
             with card(
-                "Runs",
-                "Drives, comparisons, convoys, journeys, lines and learning runs of this server: a click on "
-                "a heading sorts, on a run opens it. Choose two drives of one section to compare them.",
+                _("Runs"),
+                _(
+                    "Drives, comparisons, convoys, journeys, lines and learning runs of this server: a click "
+                    "on a heading sorts, on a run opens it. Choose two drives of one section to compare them."
+                ),
             ):
                 self.problem = Problem()
                 self.project.build_choice(self.problem)
-                actions = {"Name": self.ask_name, "Stop": self.stop, "Resume": self.resume}
+                actions = {N_("Name"): self.ask_name, N_("Stop"): self.stop, N_("Resume"): self.resume}
                 self.list = DataTable(
-                    "Runs",
+                    _("Runs"),
                     (*COLUMNS, BY) if self.service.settings.names_users else COLUMNS,
                     sort="-created",
                     actions=actions,
@@ -184,11 +196,11 @@ class RunsPage:
                     changed=self.keep_view,
                 )
                 with ui.element("div").classes("mp-row items-center"):
-                    self.compare_button = ui.button("Compare two", on_click=self.compare)
+                    self.compare_button = ui.button(_("Compare two"), on_click=self.compare)
                     self.compare_button.props('outline data-test="compare-two"')
-                    self.delete_button = ActionButton("Delete", on_click=self.ask_delete)
+                    self.delete_button = ActionButton(_("Delete"), on_click=self.ask_delete)
                     self.delete_button.props('outline color=negative data-test="delete"')
-                    self.move_button = ActionButton("Move to project", on_click=self.ask_project)
+                    self.move_button = ActionButton(_("Move to project"), on_click=self.ask_project)
                     self.move_button.props('outline data-test="move"')
                     self.status = ui.label("").classes("mp-soft").props('aria-live=polite data-test="chosen"')
                 self.list.build()
@@ -228,21 +240,20 @@ class RunsPage:
             state = f"{row.progress:.0%}"
         elif row.status not in {"done", "running"} and row.words:
             state = f"{row.status}: {row.words}"
-        passed = ""
+        passed, mark = "", ""
         if short.get("success") is not None:
             passed = "mp-pass" if short["success"] else "mp-fail"
-            state = ("✓ " if short["success"] else "✗ ") + str(state)
+            mark = "✓ " if short["success"] else "✗ "
         actions = ["Name"] + (["Stop"] if row.status in GOING else [])
         if row.status in RESUMABLE or (row.status == "failed" and row.kind != "live"):
             actions.append("Resume")
+        told = retell(catalogue.describe_job(row))
         return {
             "id": row.id,
-            "words": f"{row.name} · {catalogue.describe_job(row)}"
-            if row.name
-            else catalogue.describe_job(row),
+            "words": f"{row.name} · {told}" if row.name else told,
             "link": catalogue.page_of(row),
             "kind": catalogue.KINDS[catalogue.kind_of(row)],
-            "state": state or "done",
+            "state": mark + retell(str(state or "done")),
             "status": row.status,
             "style": passed if row.status == "done" else "mp-fail" if row.status == "failed" else "",
             "created": row.created[:16].replace("T", " "),
@@ -257,15 +268,15 @@ class RunsPage:
         self.compare_button.set_enabled(len(chosen) == len(("first", "second")))
         for button in (self.delete_button, self.move_button):
             button.set_enabled(bool(chosen))
-        self.status.text = f"{len(chosen)} chosen" if chosen else ""
+        self.status.text = _("{count} chosen", count=len(chosen)) if chosen else ""
 
     async def ask_name(self, job: str) -> None:
         """Ask for the name of a run and keep it."""
         with self.problem.show_errors():
             row = self.service.store.job(job)
-            with question(f"Name of {catalogue.describe_job(row)}") as dialog:
+            with question(_("Name of {run}", run=retell(catalogue.describe_job(row)))) as dialog:
                 problem = Problem()
-                field = ui.input("Name", value=row.name).props("outlined dense autofocus maxlength=80")
+                field = ui.input(_("Name"), value=row.name).props("outlined dense autofocus maxlength=80")
                 problem.beside("name", field.classes("w-full"))
 
                 def keep() -> None:
@@ -275,8 +286,8 @@ class RunsPage:
 
                 field.on("keydown.enter", keep)
                 with ui.element("div").classes("mp-row"):
-                    ui.button("Keep", on_click=keep).props("unelevated")
-                    ui.button("Cancel", on_click=dialog.close).props("flat")
+                    ui.button(_("Keep"), on_click=keep).props("unelevated")
+                    ui.button(_("Cancel"), on_click=dialog.close).props("flat")
             await dialog
             dialog.delete()
             self.refresh()
@@ -302,13 +313,13 @@ class RunsPage:
     async def ask_delete(self) -> None:
         """Ask, then delete the chosen runs."""
         chosen = self.list.chosen
-        what = "1 run" if len(chosen) == 1 else f"{len(chosen)} runs"
-        with question(f"Delete {what}?") as dialog:
-            ui.label("Files and results go with them; of a learning run its policy.").classes("mp-soft")
+        what = ngettext("{count} run", "{count} runs", len(chosen))
+        with question(_("Delete {what}?", what=what)) as dialog:
+            ui.label(_("Files and results go with them; of a learning run its policy.")).classes("mp-soft")
             with ui.element("div").classes("mp-row"):
-                sure = ui.button(f"Delete {what}", on_click=lambda: dialog.submit(True))
+                sure = ui.button(_("Delete {what}", what=what), on_click=lambda: dialog.submit(True))
                 sure.props('unelevated color=negative data-test="delete-sure"')
-                ui.button("Cancel", on_click=dialog.close).props("flat")
+                ui.button(_("Cancel"), on_click=dialog.close).props("flat")
         if await dialog:
             with self.problem.show_errors():
                 for job in chosen:
@@ -320,12 +331,14 @@ class RunsPage:
     async def ask_project(self) -> None:
         """Ask for a project and move the chosen runs to it."""
         chosen = self.list.chosen
-        with question("Move to project") as dialog:
-            field = ui.select(self.project.names("none"), value=self.project.key or "", label="To project")
+        with question(_("Move to project")) as dialog:
+            field = ui.select(
+                self.project.names(_("none")), value=self.project.key or "", label=_("To project")
+            )
             field.props("outlined dense options-dense").classes("w-full")
             with ui.element("div").classes("mp-row"):
-                ui.button("Move", on_click=lambda: dialog.submit(field.value)).props("unelevated")
-                ui.button("Cancel", on_click=dialog.close).props("flat")
+                ui.button(_("Move"), on_click=lambda: dialog.submit(field.value)).props("unelevated")
+                ui.button(_("Cancel"), on_click=dialog.close).props("flat")
         wanted = await dialog
         dialog.delete()
         if wanted is not None:
@@ -349,7 +362,7 @@ class RunsPage:
                 raise Refused("two runs are needed", 422, field="with", allowed="/runs?run=ID&with=ID")
             found: Any = await run.io_bound(catalogue.difference, self.service, *self.pair)
             rows = [self.service.store.job(job) for job in self.pair]
-            with self.result, card("Two runs"):
+            with self.result, card(_("Two runs")):
                 names = self.names(rows)
                 for key, row, name in zip("ab", rows, names, strict=True):
                     ui.link(f"{key}: {name}", catalogue.page_of(row)).classes("mp-soft")
@@ -361,7 +374,7 @@ class RunsPage:
     @staticmethod
     def names(rows: list[JobRow]) -> list[str]:
         """Names of runs, or what they are."""
-        return [row.name or catalogue.describe_job(row) for row in rows]
+        return [row.name or retell(catalogue.describe_job(row)) for row in rows]
 
 
 def pair_table(kpis: list[dict[str, Any]]) -> None:
@@ -374,8 +387,8 @@ def pair_table(kpis: list[dict[str, Any]]) -> None:
             continue
         first, second = (None if pair[key] is None else scale * pair[key] for key in ("first", "second"))
         change = None if first is None or second is None else second - first
-        rows.append((words, *(number(value, digits) for value in (first, second, change))))
-    table(("KPI", "a", "b", "b − a"), rows, right=(1, 2, 3), name="KPIs of two runs")
+        rows.append((_(words), *(number(value, digits) for value in (first, second, change))))
+    table((_("KPI"), "a", "b", "b − a"), rows, right=(1, 2, 3), name=_("KPIs of two runs"))
 
 
 def install(service: Service) -> None:

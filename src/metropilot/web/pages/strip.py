@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 from xml.etree.ElementTree import Element, SubElement, tostring
 
 from metropilot.units import KMH_PER_MPS
+from metropilot.web.words.language import _
 
 WIDTH, X0, X1 = 1000.0, 34.0, 966.0
 TOP, HILL, RAIL = 24.0, 84.0, 104.0
@@ -95,7 +96,7 @@ def _root(frame: Frame, height: float) -> Element:
         "xmlns": "http://www.w3.org/2000/svg",
         "viewBox": f"0 0 {WIDTH:g} {height:g}",
         "role": "img",
-        "aria-label": "track with stations, gradients and speed limits",
+        "aria-label": _("track with stations, gradients and speed limits"),
         "data-x0": _n(frame.x0),
         "data-scale": f"{frame.scale:.8g}",
         "data-rail": _n(RAIL),
@@ -119,9 +120,17 @@ def _hill(root: Element, gradient: dict[str, list[float]], frame: Frame, *, numb
         root, "polygon", {"points": f"{frame.x0:g},{RAIL:g} {points} {X1:g},{RAIL:g}", "class": "hill"}
     )
     if not numbers:
-        _text(root, X0, 12.0, f"height, {high - low:.0f} m in all", "start", size=11, soft=True)
+        _text(
+            root,
+            X0,
+            12.0,
+            _("height, {height} m in all", height=f"{high - low:.0f}"),
+            "start",
+            size=11,
+            soft=True,
+        )
         return
-    _text(root, X0, 12.0, "gradient in ‰, uphill positive", "start", size=11, soft=True)
+    _text(root, X0, 12.0, _("gradient in ‰, uphill positive"), "start", size=11, soft=True)
     for k, value in enumerate(values):
         if xs[k + 1] - xs[k] > NARROW:
             said = f"{value:+.1f}".replace("-", "−") if value else "0"

@@ -9,6 +9,10 @@ from typing import Any
 
 from nicegui import ui
 
+from metropilot.web.pages.frame import prop_of
+from metropilot.web.words.language import _
+from metropilot.web.words.said import retell
+
 CELLS = Path(__file__).parent.parent / "static" / "datatable.js"
 
 
@@ -27,6 +31,7 @@ class DataColumn:
         kind: ``link`` (to the row's ``link``), ``styled`` (with the class of the row's ``style``), or plain.
         wide: Left out on a telephone.
         filtered: A list above the table chooses one of its values.
+        said: Its values are words of the library, which are translated when shown.
     """
 
     name: str
@@ -35,13 +40,14 @@ class DataColumn:
     kind: str = ""
     wide: bool = False
     filtered: bool = False
+    said: bool = False
 
     def as_dict(self) -> dict[str, Any]:
         """DataColumn as Quasar has it."""
         narrow = "gt-xs" if self.wide else ""
         found = {
             "name": self.name,
-            "label": self.label,
+            "label": _(self.label),
             "field": self.name,
             "sortable": True,
             "align": "left" if self.digits is None else "right",
@@ -83,10 +89,10 @@ class DataTable:
     def build(self) -> None:
         """Place search field, filters and table."""
         with ui.element("div").classes("mp-row items-center"):
-            self.search = ui.input("Find").props("outlined dense clearable debounce=150")
-            self.search.props(f'aria-label="Find in {self.name}"')
+            self.search = ui.input(_("Find")).props("outlined dense clearable debounce=150")
+            self.search.props(prop_of("aria-label", _("Find in {name}", name=self.name)))
             self.filters = {
-                column.name: ui.select({"": "all"}, value="", label=column.label, on_change=self.filter)
+                column.name: ui.select({"": _("all")}, value="", label=_(column.label), on_change=self.filter)
                 for column in self.columns
                 if column.filtered
             }
@@ -94,8 +100,8 @@ class DataTable:
                 each.props("outlined dense options-dense").classes("mp-filter")
         columns = [column.as_dict() for column in self.columns]
         if self.actions:
-            last = {"name": "actions", "label": "Actions", "field": "words", "align": "left"}
-            columns.append(last | {"kind": "actions"})
+            last = {"name": "actions", "label": _("Actions"), "field": "words", "align": "left"}
+            columns.append(last | {"kind": "actions", "labels": {name: _(name) for name in self.actions}})
         self.table = CellTable(
             rows=[],
             columns=columns,
@@ -108,7 +114,7 @@ class DataTable:
                 "descending": self.sort[:1] == "-",
             },
         )
-        self.table.props(f'dense flat hide-pagination wrap-cells aria-label="{self.name}"')
+        self.table.props("dense flat hide-pagination wrap-cells").props(prop_of("aria-label", self.name))
         self.table.classes("mp-data").bind_filter_from(self.search, "value", lambda text: text or "")
         self.table.on("act", lambda event: self.actions[event.args["name"]](event.args["id"]))
 
@@ -119,7 +125,7 @@ class DataTable:
         self.rows, self.filling = rows, True
         for name, field in self.filters.items():
             values = sorted({str(row[name]) for row in rows if row[name] is not None})
-            field.set_options({"": "all", **{value: value for value in values}})
+            field.set_options({"": _("all"), **{value: retell(value) for value in values}})
             if field.value not in field.options:
                 field.value = ""
         self.filling = False
@@ -146,6 +152,8 @@ class DataTable:
         wanted = {name: field.value for name, field in self.filters.items() if field.value}
         shown = [row for row in self.rows if all(str(row[name]) == value for name, value in wanted.items())]
         kept = {row["id"] for row in self.table.selected}
+        said = [column.name for column in self.columns if column.said]
+        shown = [row | {name: retell(row[name] or "") for name in said} for row in shown]
         self.table.rows = shown
         self.table.selected = [row for row in shown if row["id"] in kept]
         self.table.update()

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Annotated, Any, Literal, Self
 
-from pydantic import BaseModel
+from pydantic import BaseModel, Field, model_validator
 
 JobKind = Literal[
     "drive", "compare", "journey", "line", "campaign", "export", "fit", "learn", "study", "live"
@@ -538,11 +538,43 @@ class LiveOut(BaseModel):
     error: dict[str, Any] | None
 
 
+class GraphStopOut(BaseModel):
+    """A stop of a train graph."""
+
+    code: Annotated[str, Field(max_length=32)]
+    position_m: float
+
+
+class RunningGraphOut(BaseModel):
+    """Train graph of the last half hour of a running line: a row of positions and delays for each time."""
+
+    stops: Annotated[list[GraphStopOut], Field(max_length=1000)]
+    time_s: list[float]
+    position_m: list[list[float]]
+    delay_s: list[list[float]]
+    energy_kwh: list[float]
+    floor_kwh: list[float]
+
+    @model_validator(mode="after")
+    def check_shape(self) -> Self:
+        """Check that every time has a row, and every row as many trains.
+
+        Raises:
+            ValueError: They differ.
+        """
+        rows = (self.position_m, self.delay_s, self.energy_kwh, self.floor_kwh)
+        trains = {len(row) for row in (*self.position_m, *self.delay_s)}
+        if any(len(row) != len(self.time_s) for row in rows) or len(trains) > 1:
+            raise ValueError("rows of different length")
+        return self
+
+
 class RunningLineOut(BaseModel):
     """A running line at its end: energy beside the floor, delays now and at most, recovery.
 
     ``waits`` departures waited for the train ahead, ``stops`` trains were stopped on the way behind it;
-    ``recovered_s``: when every train was on time again after the last event, at ``disturbed_s``.
+    ``recovered_s``: when every train was on time again after the last event, at ``disturbed_s``. ``graph`` is
+    null of one that an earlier version drove.
     """
 
     time_s: float
@@ -557,6 +589,7 @@ class RunningLineOut(BaseModel):
     disturbed_s: float | None
     recovered_s: float | None
     outcome: str
+    graph: RunningGraphOut | None = None
 
 
 class EventOut(BaseModel):

@@ -15,6 +15,17 @@
     }
   }).observe(document.body, { childList: true });
 
+  // Arrows step a number, as in the browser's own field of numbers, which would drop a decimal comma.
+  document.addEventListener("keydown", (e) => {
+    const field = e.target.closest("input[role=spinbutton]");
+    if (!field || (e.key !== "ArrowUp" && e.key !== "ArrowDown")) return;
+    const step = +field.getAttribute("step") || 1, now = +field.value.replace(",", ".") || 0;
+    const digits = Math.max(...[step, now].map((x) => (String(x).split(".")[1] || "").length));
+    field.value = (now + (e.key === "ArrowUp" ? step : -step)).toFixed(digits);
+    field.dispatchEvent(new Event("input", { bubbles: true }));
+    e.preventDefault();
+  });
+
   // The thumb of a slider takes the focus, but its name and value are those of the element around it.
   const copy = (slider, thumb) => {
     for (const name of ["role", "aria-label", "aria-valuemin", "aria-valuemax", "aria-valuenow"]) thumb.setAttribute(name, slider.getAttribute(name) || "");

@@ -7,7 +7,8 @@
       const first = !this.now;
       super.on_scene(scene);
       this.root.dataset.silent = scene.link.silent;
-      this.set("link", scene.link.silent ? "silent" : `${scene.link.delay_s} s, ${Math.round(scene.link.loss * 100)} % lost`);
+      this.set("link", scene.link.silent ? metropilotSay("silent")
+        : metropilotSay("{delay} s, {loss} % lost", { delay: scene.link.delay_s, loss: Math.round(scene.link.loss * 100) }));
       this.part("link").className = scene.link.silent ? "v mp-fail" : "v";
       if (first) this.place(scene);
     }
@@ -38,7 +39,7 @@
       this.set("apart", (apart * KMH).toFixed(2), "km/h");
       this.set("age", Math.max(...last.age_s).toFixed(1), "s");
       const worst = Math.max(...last.level);
-      this.set("level", worst ? scene.levels[worst] : "watching");
+      this.set("level", worst ? metropilotRetell(scene.levels[worst]) : metropilotSay("watching"));
       this.part("level").className = worst ? "v mp-fail" : "v";
       const svg = this.root.querySelector(".mp-strip svg"), boxes = svg ? svg.querySelectorAll(".mp-convoy rect") : [];
       boxes.forEach((box, k) => { box.style.transform = `translateX(${(+svg.dataset.scale * last.position_m[k]).toFixed(2)}px)`; });
@@ -57,7 +58,7 @@
 
     on_result(said) { this.root.dispatchEvent(new CustomEvent("mp-result", { detail: said.success, bubbles: true })); }
 
-    on_end(said) { super.on_end(said, { done: "all stopped", stopped: "stopped" }); }
+    on_end(said) { super.on_end(said, { done: metropilotSay("all stopped"), stopped: metropilotRetell("stopped") }); }
   }
 
   let view = null;
@@ -70,6 +71,6 @@
     view.draw((Plotly, el) => Plotly.restyle(el, { x: el.data.map(() => []), y: el.data.map(() => []),
       showlegend: el.data.map((t, k) => k >= 12 && k <= 12 + pairs) }));
     history.replaceState(null, "", `/convoy?run=${id}`);
-    view.set("status", "under way");
+    view.set("status", metropilotSay("under way"));
   };
 })();

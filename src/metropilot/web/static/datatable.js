@@ -5,20 +5,20 @@ export default {
     <q-table ref="qRef" :columns="shown">
       <template v-slot:header-cell="cell">
         <q-th :props="cell" :aria-sort="order(cell.col)">
-          <button v-if="cell.col.sortable" type="button" class="mp-sort" :aria-label="'Sort by ' + cell.col.label">{{ cell.col.label }}</button>
+          <button v-if="cell.col.sortable" type="button" class="mp-sort" :aria-label="say('Sort by {column}', { column: cell.col.label })">{{ cell.col.label }}</button>
           <template v-else>{{ cell.col.label }}</template>
         </q-th>
       </template>
       <template v-slot:header-selection="scope">
-        <q-checkbox dense v-model="scope.selected" aria-label="Select all" />
+        <q-checkbox dense v-model="scope.selected" :aria-label="say('Select all')" />
       </template>
       <template v-slot:body-selection="scope">
-        <q-checkbox dense v-model="scope.selected" :aria-label="'Select ' + (scope.row.words || scope.row.id)" />
+        <q-checkbox dense v-model="scope.selected" :aria-label="say('Select {row}', { row: scope.row.words || scope.row.id })" />
       </template>
       <template v-slot:body-cell="cell">
         <q-td v-if="cell.col.kind === 'actions'" :props="cell" class="mp-do">
-          <q-btn v-for="name in cell.row.actions" :key="name" flat dense no-caps size="sm" :label="name"
-            :aria-label="name + ' ' + cell.row.words" @click="$emit('act', { name, id: cell.row.id })" />
+          <q-btn v-for="name in cell.row.actions" :key="name" flat dense no-caps size="sm" :label="cell.col.labels[name]"
+            :aria-label="say('{action} {row}', { action: cell.col.labels[name], row: cell.row.words })" @click="$emit('act', { name, id: cell.row.id })" />
         </q-td>
         <q-td v-else :props="cell">
           <a v-if="cell.col.kind === 'link' && cell.row.link" :href="cell.row.link" class="mp-cell-link">{{ cell.value }}</a>
@@ -36,6 +36,7 @@ export default {
     },
   },
   methods: {
+    say: (text, values) => metropilotSay(text, values),
     order(column) {
       if (!column.__thClass.includes(" sorted")) return null;
       return column.__thClass.includes("sort-desc") ? "descending" : "ascending";

@@ -8,7 +8,7 @@
     on_scene(scene) {
       super.on_scene(scene);
       this.root.dataset.status = "running";
-      this.set("status", "under way");
+      this.set("status", metropilotSay("under way"));
       this.set("trains", scene.trains);
     }
 
@@ -18,7 +18,7 @@
       const late = last.delay_s.filter((s) => s > LATE_S[0]), all = late.reduce((a, b) => a + b, 0);
       Object.assign(this.root.dataset, { time: last.time_s, late: late.length, delay: all });
       this.set("time", clock(last.time_s));
-      this.set("late", late.length, `of ${this.now.trains}`);
+      this.set("late", late.length, metropilotSay("of {count}", { count: this.now.trains }));
       this.set("worst", Math.max(0, ...last.delay_s).toFixed(0), "s");
       this.set("energy", last.energy_kwh.toFixed(0), "kWh");
       this.set("gap", last.floor_kwh ? ((last.energy_kwh / last.floor_kwh - 1) * 100).toFixed(2) : "–", "%");
@@ -49,11 +49,11 @@
         "yaxis.tickvals": stops.map((s) => s.position_m / 1000), "yaxis.ticktext": stops.map((s) => s.code) });
     }
 
-    on_event(said) { this.say(clock(said.time_s), said.words); }
+    on_event(said) { this.say(clock(said.time_s), metropilotRetell(said.words)); }
 
     on_result(said) { this.root.dispatchEvent(new CustomEvent("mp-result", { detail: said.energy_kwh, bubbles: true })); }
 
-    on_end(said) { super.on_end(said, { done: "at its end" }); }
+    on_end(said) { super.on_end(said, { done: metropilotSay("at its end") }); }
   }
 
   let view = null;
@@ -64,6 +64,6 @@
     root.querySelector('[data-mp="log"]').replaceChildren();
     view = new Line(root, id, chart);
     history.replaceState(null, "", `/line?run=${id}`);
-    view.set("status", "planning the trips");
+    view.set("status", metropilotRetell("planning the trips"));
   };
 })();

@@ -60,7 +60,8 @@
     }
 
     on_end(said) {
-      const done = this.outcome === "arrived" ? "arrived at its end" : `ended: ${(this.outcome || "").replaceAll("_", " ")}`;
+      const done = this.outcome === "arrived" ? metropilotSay("arrived at its end")
+        : metropilotSay("ended: {outcome}", { outcome: metropilotRetell((this.outcome || "").replaceAll("_", " ")) });
       this.over = true; this.drop();
       super.on_end(said, { done });
       this.root.dispatchEvent(new CustomEvent("mp-end", { detail: said.status, bubbles: true }));
@@ -90,16 +91,17 @@
       if (answer.ok) { if (share !== null && this.share !== null) this.confirmed = true; return; }
       const held = this.share !== null;
       this.drop();
-      if (held) this.say("", (await answer.json()).error.message);
+      if (held) this.say("", metropilotRetell((await answer.json()).error.message));
     }
 
     shown() {
       const held = this.share !== null, slider = this.part("slider"), other = held || this.over ? null : this.other;
       this.root.dataset.hand = held; this.root.dataset.holder = held ? HOLDER : other ? other.holder : "";
-      this.set("hand", held ? `manual: ${(this.share * 100).toFixed(0)} %` : other ? `held by ${other.holder} since ${other.since_s.toFixed(1)} s` : "the driver has it");
+      this.set("hand", held ? metropilotSay("manual: {share} %", { share: (this.share * 100).toFixed(0) })
+        : other ? metropilotSay("held by {holder} since {time} s", { holder: other.holder, time: other.since_s.toFixed(1) }) : metropilotSay("the driver has it"));
       if (slider) { slider.value = held ? this.share : 0; slider.disabled = !held; }
       const button = this.part("take");
-      if (button) { button.textContent = held ? "Give the lever back (Esc)" : other ? "Take the lever over" : "Take the lever (M)"; button.title = `this page is ${HOLDER}`; }
+      if (button) { button.textContent = metropilotSay(held ? "Give the lever back (Esc)" : other ? "Take the lever over" : "Take the lever (M)"); button.title = metropilotSay("this page is {holder}", { holder: HOLDER }); }
     }
 
     key(e) {
@@ -124,12 +126,12 @@
       this.set("distance", (scene.length_m - last.position_m).toFixed(Math.abs(scene.length_m - last.position_m) < 20 ? 2 : 0), "m");
       this.set("time", last.time_s.toFixed(1), "s");
       const coast = Math.abs(last.command) < 0.005;
-      this.set("command", coast ? "coast" : `${Math.abs(last.command * 100).toFixed(0)}`, coast ? "" : last.command > 0 ? "% power" : "% brake");
+      this.set("command", coast ? metropilotSay("coast") : `${Math.abs(last.command * 100).toFixed(0)}`, coast ? "" : metropilotSay(last.command > 0 ? "% power" : "% brake"));
       const before = this.kept[this.kept.length - 2];
       if (before) this.set("power", ((last.energy_line_j - before.energy_line_j) / (last.time_s - before.time_s || 1) / 1000).toFixed(0), "kW");
       this.set("energy", (last.energy_wheel_j / KWH).toFixed(2), "kWh");
       this.set("against", best > 36000 ? `${((last.energy_wheel_j / best - 1) * 100).toFixed(1)}` : "–", "%");
-      this.set("level", scene.levels[last.level] === "none" ? "watching" : scene.levels[last.level]);
+      this.set("level", last.level ? metropilotRetell(scene.levels[last.level]) : metropilotSay("watching"));
       this.part("level").className = last.level ? "v mp-fail" : "v";
       const train = this.root.querySelector(".mp-train"), svg = train && train.closest("svg");
       if (train) {
@@ -165,7 +167,7 @@
       view = new View(root, id, chart);
       view.draw((Plotly, el) => Plotly.restyle(el, { x: el.data.map(() => []), y: el.data.map(() => []) }));
       history.replaceState(null, "", `/?run=${id}`);
-      view.set("status", "under way");
+      view.set("status", metropilotSay("under way"));
       view.shown();
     },
     hand() { if (view) view.share === null ? view.take(0, view.other !== null) : view.give(); },

@@ -7,8 +7,8 @@
       for (const kind of ["place", "scene", "rows", "event", "result", "end"])
         this.source.addEventListener(kind, (e) => this["on_" + kind](JSON.parse(e.data)));
       this.source.addEventListener("error", (e) => {
-        if (e.data) this.say("", JSON.parse(e.data).error.message);
-        else if (this.source.readyState === EventSource.CLOSED && !this.over) this.set("status", "the server does not answer; reload the page");
+        if (e.data) this.say("", metropilotRetell(JSON.parse(e.data).error.message));
+        else if (this.source.readyState === EventSource.CLOSED && !this.over) this.set("status", metropilotSay("the server does not answer; reload the page"));
       });
     }
 
@@ -44,10 +44,10 @@
     }
 
     // While the server drives as many as it can, a run waits in a queue.
-    on_place(said) { this.root.dataset.status = "queued"; this.set("status", `waiting: place ${said.place} in the queue; it starts by itself`); }
+    on_place(said) { this.root.dataset.status = "queued"; this.set("status", metropilotSay("waiting: place {place} in the queue; it starts by itself", { place: said.place })); }
 
     on_scene(scene) {
-      if (this.root.dataset.status === "queued") { this.root.dataset.status = "running"; this.set("status", "under way"); }
+      if (this.root.dataset.status === "queued") { this.root.dataset.status = "running"; this.set("status", metropilotSay("under way")); }
       this.now = scene;
     }
 
@@ -55,16 +55,19 @@
     on_rows(said, every) {
       this.kept.push(...said.rows.map((values) => Object.fromEntries(this.now.columns.map((name, k) => [name, values[k]]))));
       this.root.dataset.behind = said.behind_s;
-      this.set("pace", said.pace === 0 ? "waiting" : `${said.pace}×`);
+      this.set("pace", said.pace === 0 ? metropilotSay("waiting") : `${said.pace}×`);
       if (!this.waiting) { this.waiting = true; setTimeout(() => { this.waiting = false; if (this.kept.length && !this.closed) this.update(this.kept[this.kept.length - 1]); }, every); }
     }
 
-    on_event(said) { this.say(`${said.time_s.toFixed(1)} s`, said.words); }
+    on_event(said) { this.say(`${said.time_s.toFixed(1)} s`, metropilotRetell(said.words)); }
 
     on_end(said, words) {
       this.source.close(); this.over = true;
       this.root.dataset.status = said.status;
-      this.set("status", { stopped: "stopped; it can be resumed", failed: `failed: ${said.message}`, ...words }[said.status] || said.status);
+      this.set("status", {
+        stopped: metropilotSay("stopped; it can be resumed"),
+        failed: metropilotSay("failed: {message}", { message: metropilotRetell(said.message) }), ...words,
+      }[said.status] || metropilotRetell(said.status));
     }
   };
 })();
