@@ -4,8 +4,17 @@ import re
 
 import pytest
 from playwright.sync_api import expect
+from tests.web.program import Server
 
 PATIENCE_MS = 60_000
+
+
+@pytest.fixture(scope="module")
+def server(tmp_path_factory):
+    """A server without the runs of other tests."""
+    made = Server(tmp_path_factory.mktemp("runs"))
+    yield made
+    made.close()
 
 
 @pytest.fixture(scope="module")
