@@ -1778,6 +1778,10 @@ class Live:
             self.connection.send("POST", f"/api/live/{quote(str(live_id), safe='')}/pace", {}, body)
         )
 
+    def step(self, live_id: str) -> EventOut:
+        """Pause the run and simulate one second of it; a pace other than 0 lets it go on."""
+        return json.loads(self.connection.send("POST", f"/api/live/{quote(str(live_id), safe='')}/step", {}))
+
     def stop(self, live_id: str) -> EventOut:
         """End a live run, or take it out of the queue; it can be resumed."""
         return json.loads(self.connection.send("POST", f"/api/live/{quote(str(live_id), safe='')}/stop", {}))

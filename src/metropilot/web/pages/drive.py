@@ -38,6 +38,7 @@ from metropilot.web.pages.frame import (
     strip,
     table,
 )
+from metropilot.web.pages.moment import MomentSlider
 from metropilot.web.pages.plots import (
     REGIME_COLOURS,
     drive_figure,
@@ -148,18 +149,12 @@ class DrivePage:
             self.root = ui.element("section").classes("mp-card").props('data-test="live"')
             self.root.props(f"data-status={'none' if self.row is None else self.row.status}")
             with self.root, ui.element("div").classes("mp-stack"):
-                with ui.element("div").classes("mp-row items-center"):
-                    ui.label(_("Live run")).classes("mp-h").props("role=heading aria-level=2")
-                    status = ui.label(self.status_words()).classes("mp-soft")
-                    status.props('data-mp="status" aria-live=polite')
-                    ui.label("").classes("mp-soft").props('data-mp="pace"')
-                    self.resume_button = ActionButton(_("Resume"), icon="replay", on_click=self.resume)
-                    self.resume_button.props('outline dense data-test="resume"')
-                    self.resume_button.set_visibility(self.resumable())
+                self.build_head()
                 self.strip = strip(_("Section"))
                 reads(READS)
                 self.lever()
-                self.plot = ui.plotly(run_figure()).classes("mp-plot")
+                self.plot = ui.plotly(run_figure()).classes("mp-plot mp-along")
+                self.moment = MomentSlider(self.root, self.plot)
                 ui.element("ul").classes("mp-log").props('data-mp="log" aria-live=polite').props(
                     prop_of("aria-label", _("News"))
                 )
@@ -169,6 +164,21 @@ class DrivePage:
                 self.map = strip(_("Whole line"))
             self.root.on("mp-result", self.show_result, ["detail"])
             self.root.on("mp-end", self.show_end, ["detail"])
+
+    def build_head(self) -> None:
+        """Build the heading of the run: its status, pause, step, resume."""
+        with ui.element("div").classes("mp-row items-center"):
+            ui.label(_("Live run")).classes("mp-h").props("role=heading aria-level=2")
+            status = ui.label(self.status_words()).classes("mp-soft")
+            status.props('data-mp="status" aria-live=polite')
+            ui.label("").classes("mp-soft").props('data-mp="pace"')
+            with ui.element("div").classes("mp-paces"):
+                pause = ActionButton(_("Pause (space)"), on_click=self.pause)
+                pause.props('outline dense data-mp="pause"')
+                ActionButton(_("Step 1 s"), on_click=self.step).props('outline dense data-test="step"')
+            self.resume_button = ActionButton(_("Resume"), icon="replay", on_click=self.resume)
+            self.resume_button.props('outline dense data-test="resume"')
+            self.resume_button.set_visibility(self.resumable())
 
     def say_driver(self) -> None:
         """Show what the chosen driver is, and its options."""
@@ -245,6 +255,8 @@ class DrivePage:
             found = self.service.store.result(self.row.id)
             if found is not None:
                 self.plot.update_figure(drive_figure(found))
+                if self.form.section is not None:
+                    self.moment.offer(found, self.form.section["length_m"])
                 self.show_why(found)
                 self.show_kpis(self.row.id, found)
             if self.row.error is not None:
@@ -297,6 +309,7 @@ class DrivePage:
                     plan = await self.service.plan(self.form.plan_request(now))
                     if self.live() is None and self.form.section is not None:
                         self.plot.update_figure(plan_figure(self.form.section, plan))
+                        self.moment.close()
                         self.arrival.value = now
         finally:
             self.planning = False
@@ -391,6 +404,18 @@ class DrivePage:
         if (session := self.live()) is not None and session.known.pace != pace:
             await session.ask({"kind": "pace", "pace": pace})
 
+    async def pause(self) -> None:
+        """Pause the run, or let it go on at the pace of the field."""
+        with self.departure.show_errors():
+            session = self.live()
+            paused = session is not None and session.known.pace == 0
+            await self.ask({"kind": "pace", "pace": float(self.pace.value) if paused else 0.0})
+
+    async def step(self) -> None:
+        """Pause the run and simulate a second of it."""
+        with self.departure.show_errors():
+            await self.ask({"kind": "step"})
+
     async def stop(self) -> None:
         """End the run."""
         with self.news.show_errors():
@@ -443,7 +468,7 @@ def explanation_card(driven: dict[str, Any]) -> None:
         with ui.element("div").classes("mp-links"):
             for regime, colour in REGIME_COLOURS.items():
                 ui.label(retell(regime)).classes("mp-swatch").style(f"--mp-swatch: {colour}")
-        ui.plotly(explanation_figure(driven)).classes("mp-plot").props('data-test="explanation"')
+        ui.plotly(explanation_figure(driven)).classes("mp-plot mp-along").props('data-test="explanation"')
         rows = [
             (
                 retell(span["regime"]),

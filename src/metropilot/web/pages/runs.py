@@ -116,7 +116,7 @@ class RunList:
         known = session.known
         if session.waiting:
             return _("waits: {place}", place=retell(place_words(known.place)))
-        said = [clock(known.time_s), f"{known.pace:g} ×" if known.pace else _("waiting")]
+        said = [clock(known.time_s), f"{known.pace:g} ×" if known.pace else _("paused")]
         said.append(_("{count} watching", count=session.viewers) if session.viewers else _("no viewer"))
         if known.lever is not None:
             said.append(_("lever: {holder}", holder=known.lever["holder"]))

@@ -13,6 +13,7 @@
   class View extends MetropilotStream {
     constructor(root, id, chart) {
       super(root, id, chart);
+      this.moments = new MetropilotMoments(root, chart);
       this.share = null; this.confirmed = false; this.other = null;
       this.onkey = (e) => this.key(e);
       document.addEventListener("keydown", this.onkey);
@@ -22,7 +23,7 @@
     }
 
     close() {
-      this.onleave(); clearInterval(this.timer); super.close();
+      this.onleave(); clearInterval(this.timer); super.close(); this.moments.close();
       document.removeEventListener("keydown", this.onkey); window.removeEventListener("pagehide", this.onleave);
     }
 
@@ -64,6 +65,7 @@
         : metropilotSay("ended: {outcome}", { outcome: metropilotRetell((this.outcome || "").replaceAll("_", " ")) });
       this.over = true; this.drop();
       super.on_end(said, { done });
+      if (this.now) this.moments.offer(this.now, this.kept);
       this.root.dispatchEvent(new CustomEvent("mp-end", { detail: said.status, bubbles: true }));
     }
 
@@ -108,6 +110,8 @@
       if (this.over || e.ctrlKey || e.metaKey || e.altKey) return;
       const typing = e.target.closest && e.target.closest("input:not([type=range]), textarea, [role=listbox], [role=combobox]");
       if (typing) return;
+      const pressed = e.target.closest && e.target.closest("button, a, input, [role=button], [role=slider], [tabindex='0']");
+      if (e.key === " " && !pressed && !e.repeat) { this.part("pause").click(); e.preventDefault(); return; }
       const held = this.share !== null;
       const does = { m: () => !held && !this.other && this.take(0), ArrowUp: () => held && this.take(this.share + STEP), ArrowDown: () => held && this.take(this.share - STEP),
         0: () => held && this.take(0), b: () => held && this.take(-1), Escape: () => held && this.give() }[e.key];
@@ -115,30 +119,18 @@
     }
 
     // Drawn ten times a second at most.
-    on_rows(said) { super.on_rows(said, 90); }
+    on_rows(said) {
+      super.on_rows(said, 90);
+      const pause = this.part("pause"), paused = said.pace === 0;
+      if (pause.dataset.paused !== String(paused)) {
+        pause.dataset.paused = paused;
+        pause.textContent = metropilotSay(paused ? "Go on (space)" : "Pause (space)");
+      }
+    }
 
     update(last) {
       if (!this.now) return;
-      const scene = this.now, best = last.plan_energy_wheel_j;
-      this.root.dataset.time = last.time_s; this.root.dataset.position = last.position_m;
-      this.set("speed", (last.speed_mps * KMH).toFixed(1), "km/h");
-      this.set("permitted", (last.permitted_mps * KMH).toFixed(1), "km/h");
-      this.set("distance", (scene.length_m - last.position_m).toFixed(Math.abs(scene.length_m - last.position_m) < 20 ? 2 : 0), "m");
-      this.set("time", last.time_s.toFixed(1), "s");
-      const coast = Math.abs(last.command) < 0.005;
-      this.set("command", coast ? metropilotSay("coast") : `${Math.abs(last.command * 100).toFixed(0)}`, coast ? "" : metropilotSay(last.command > 0 ? "% power" : "% brake"));
-      const before = this.kept[this.kept.length - 2];
-      if (before) this.set("power", ((last.energy_line_j - before.energy_line_j) / (last.time_s - before.time_s || 1) / 1000).toFixed(0), "kW");
-      this.set("energy", (last.energy_wheel_j / KWH).toFixed(2), "kWh");
-      this.set("against", best > 36000 ? `${((last.energy_wheel_j / best - 1) * 100).toFixed(1)}` : "–", "%");
-      this.set("level", last.level ? metropilotRetell(scene.levels[last.level]) : metropilotSay("watching"));
-      this.part("level").className = last.level ? "v mp-fail" : "v";
-      const train = this.root.querySelector(".mp-train"), svg = train && train.closest("svg");
-      if (train) {
-        const along = +svg.dataset.scale * last.position_m, box = svg.parentElement.closest(".mp-strip");
-        train.style.transform = `translateX(${along.toFixed(2)}px)`;
-        if (box.scrollWidth > box.clientWidth) box.scrollLeft = ((+svg.dataset.x0 + along) / 1000) * box.scrollWidth - box.clientWidth / 2;
-      }
+      this.moments.show(this.now, last, this.kept[this.kept.length - 2]);
       const slider = this.part("slider");
       if (slider && this.share === null) slider.value = last.wanted;
       this.draw((Plotly, el) => {
@@ -156,10 +148,20 @@
     }
   }
 
-  let view = null;
+  let view = null, past = null;
   window.metropilot = {
+    // The moments of a run that was over before the page was opened.
+    past(rootId, chart, scene) {
+      const rows = scene.rows.map((values) => Object.fromEntries(scene.columns.map((name, k) => [name, values[k]])));
+      past = new MetropilotMoments(document.getElementById(rootId), chart);
+      past.set("scheduled", scene.scheduled_time_s.toFixed(0), "s");
+      past.offer(scene, rows);
+    },
+    // Another picture takes the place of the run's.
+    forget() { for (const moments of [past, view && view.over && view.moments]) if (moments) moments.close(); past = null; },
     live(rootId, id, chart) {
       if (view) view.close();
+      this.forget();
       const root = document.getElementById(rootId);
       root.dataset.run = id; root.dataset.status = "running"; root.dataset.position = 0; root.dataset.time = 0;
       const list = root.querySelector('[data-mp="log"]');

@@ -1,0 +1,106 @@
+"""Work on the picture of a run: its moments, pause and step, copies, restrictions that are dragged."""
+
+import pytest
+from playwright.sync_api import expect
+from tests.browser.test_drive import PATIENCE_MS, depart, number
+
+SECTION = {"line": "yizhuang", "origin": "RJ", "destination": "WYJ", "time_s": 101}
+SIZES = [(1440, 900), (390, 844)]
+PLOT = "document.querySelector('[data-test=live] .js-plotly-plot')"
+CURSORS = """[...document.querySelectorAll('.mp-along.js-plotly-plot')].map(
+    el => (el.layout.shapes || []).filter(s => s.name === 'moment').map(s => s.x0))"""
+
+
+@pytest.fixture(scope="module")
+def driven(server):
+    """Drive that is over."""
+    job = server.post("/api/jobs/drive", {**SECTION, "driver": "manual"}, code=202)["id"]
+    server.wait(job)
+    return job
+
+
+@pytest.mark.parametrize(("width", "height"), SIZES)
+def test_a_finished_run_is_scrubbed(visit, server, driven, width, height):
+    columns = server.get(f"/api/jobs/{driven}/drive")["columns"]
+    page = visit(f"/?run={driven}", width=width, height=height)
+    slider = page.get_by_role("slider", name="Moment")
+    expect(slider).to_be_visible()
+    expect(page.locator('[data-test="explanation"]')).to_be_visible()
+    rows = len(columns["time_s"])
+    expect(slider).to_have_attribute("max", str(rows - 1))
+    assert number(page, "time") == pytest.approx(columns["time_s"][-1], abs=0.06)
+    slider.focus()
+    page.keyboard.press("Home")
+    for _ in range(5):
+        page.keyboard.press("ArrowRight")
+    expect(page.locator('[data-mp="time"]')).to_contain_text(f"{columns['time_s'][5]:.1f}")
+    slider.fill(str(rows // 2))
+    speed, place = 3.6 * columns["speed_mps"][rows // 2], columns["position_m"][rows // 2]
+    expect(page.locator('[data-mp="speed"]')).to_contain_text(f"{speed:.1f}")
+    expect(page.locator('[data-mp="place"]')).to_contain_text(f"{place:.0f} m")
+    told = slider.get_attribute("aria-valuetext")
+    assert f"{place:.0f} m, {speed:.1f} km/h, permitted" in told
+    assert told.endswith("kWh, protection: watching")
+    page.wait_for_function(f"{CURSORS}.every(at => at.length === 1 && Math.abs(at[0] - {place}) < 0.01)")
+    assert len(page.evaluate(CURSORS)) == 2
+    scale = float(page.locator(".mp-strip svg[data-scale]").first.get_attribute("data-scale"))
+    moved = page.locator(".mp-train").get_attribute("style")
+    assert f"translateX({scale * place:.2f}px)" in moved
+
+
+def test_the_pointer_chooses_the_moment(visit, driven):
+    page = visit(f"/?run={driven}", width=1440)
+    expect(page.get_by_role("slider", name="Moment")).to_be_visible()
+    expect(page.locator('[data-test="explanation"] .ylines-above').first).to_be_attached()
+    across = """name => { const el = document.querySelector(name), a = el._fullLayout.xaxis;
+        const box = el.getBoundingClientRect();
+        return [box.left + a._offset + a.d2p(600), box.top + 120]; }"""
+    for name in ("[data-test=live] .js-plotly-plot", "[data-test=explanation]"):
+        page.locator(name).scroll_into_view_if_needed()
+        page.mouse.move(5, 5)
+        page.mouse.move(*page.evaluate(across, name))
+        page.wait_for_function(f"{CURSORS}.every(at => Math.abs(at[0] - 600) < 8)")
+        assert number(page, "distance") == pytest.approx(1280 - 600, abs=30)
+        page.get_by_role("slider", name="Moment").fill("3")
+        page.wait_for_function(f"{CURSORS}.every(at => at[0] < 50)")
+
+
+def test_a_live_run_that_is_over_is_scrubbed_until_the_form_changes(visit):
+    page = visit("/")
+    live = depart(page, "30 ×")
+    expect(live).to_have_attribute("data-status", "done", timeout=PATIENCE_MS)
+    slider = page.get_by_role("slider", name="Moment")
+    expect(slider).to_be_visible()
+    slider.fill("100")
+    page.wait_for_function("Number(document.querySelector('[data-test=live]').dataset.time) < 40")
+    assert 0 < (number(page, "speed") or 0) < 90
+    page.locator('[data-test="time"] [tabindex="0"]').focus()
+    page.keyboard.press("ArrowRight")
+    expect(slider).to_be_hidden()
+    page.wait_for_function(f"!({PLOT}.layout.shapes || []).some(s => s.name === 'moment')")
+
+
+@pytest.mark.parametrize(("width", "height"), SIZES)
+def test_a_run_is_paused_and_stepped(visit, width, height):
+    page = visit("/", width=width, height=height)
+    expect(page.locator('[data-mp="pause"]')).to_be_hidden()
+    live = depart(page, "5 ×")
+    pause = page.locator('[data-mp="pause"]')
+    page.evaluate("document.activeElement.blur()")
+    page.keyboard.press("Space")
+    expect(pause).to_have_text("Go on (space)")
+    expect(page.locator('[data-mp="pace"]')).to_have_text("paused")
+    page.wait_for_timeout(300)
+    at = float(live.get_attribute("data-time"))
+    for k in range(1, 4):
+        page.get_by_role("button", name="Step 1 s").click()
+        page.wait_for_function(
+            f"Math.abs(document.querySelector('[data-test=live]').dataset.time - {at + k}) < 1e-3"
+        )
+    page.wait_for_timeout(500)
+    assert float(live.get_attribute("data-time")) == pytest.approx(at + 3, abs=1e-3)
+    pause.click()
+    expect(pause).to_have_text("Pause (space)")
+    page.wait_for_function(f"document.querySelector('[data-test=live]').dataset.time > {at + 4}")
+    page.locator('[data-test="stop"]').click()
+    expect(pause).to_be_hidden()
