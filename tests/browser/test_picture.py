@@ -1,9 +1,15 @@
 """Work on the picture of a run: its moments, pause and step, copies, restrictions that are dragged."""
 
+import csv
+import struct
+import xml.etree.ElementTree as ET
+from pathlib import Path
+
 import pytest
 from playwright.sync_api import expect
 from tests.browser.test_drive import PATIENCE_MS, depart, number
 
+ROOT = Path(__file__).parents[2]
 SECTION = {"line": "yizhuang", "origin": "RJ", "destination": "WYJ", "time_s": 101}
 SIZES = [(1440, 900), (390, 844)]
 PLOT = "document.querySelector('[data-test=live] .js-plotly-plot')"
@@ -104,3 +110,47 @@ def test_a_run_is_paused_and_stepped(visit, width, height):
     page.wait_for_function(f"document.querySelector('[data-test=live]').dataset.time > {at + 4}")
     page.locator('[data-test="stop"]').click()
     expect(pause).to_be_hidden()
+
+
+def taken(page, plot, kind):
+    """File that a button of a plot gives."""
+    with page.expect_download() as download:
+        page.get_by_role("button", name=kind, exact=True).nth(plot).click()
+    return Path(download.value.path()), download.value.suggested_filename
+
+
+@pytest.mark.parametrize(("width", "height"), SIZES)
+def test_a_plot_is_taken_as_svg_png_and_csv(visit, server, driven, width, height):
+    columns = server.get(f"/api/jobs/{driven}/drive")["columns"]
+    page = visit(f"/?run={driven}", width=width, height=height)
+    expect(page.locator('[data-test="explanation"] .ylines-above').first).to_be_attached()
+    path, name = taken(page, 0, "Values of the plot as CSV")
+    assert name == "metropilot-drive-1.csv"
+    with path.open(encoding="utf-8-sig", newline="") as file:
+        head, *rows = csv.reader(file)
+    speed = head.index("driven: speed (km/h)")
+    assert head[speed - 1] == "driven: distance (m)"
+    assert "energy at the wheel: energy (kWh)" in head
+    assert "command: command" in head
+    values = [(float(row[speed - 1]), float(row[speed])) for row in rows if row[speed]]
+    assert [x for x, _ in values] == pytest.approx(columns["position_m"])
+    assert [y for _, y in values] == pytest.approx([3.6 * v for v in columns["speed_mps"]], abs=1e-3)
+    path, name = taken(page, 0, "Plot as SVG")
+    assert name == "metropilot-drive-1.svg"
+    drawn = ET.fromstring(path.read_text(encoding="utf-8"))
+    texts = ["".join(each.itertext()) for each in drawn.iter() if each.tag.endswith("}text")]
+    assert {"distance (m)", "speed (km/h)", "energy (kWh)"} <= set(texts)
+    path, name = taken(page, 1, "Plot as PNG")
+    assert name == "metropilot-drive-2.png"
+    content = path.read_bytes()
+    assert content[:8] == b"\x89PNG\r\n\x1a\n"
+    shown = page.locator('[data-test="explanation"]').bounding_box()
+    assert struct.unpack(">II", content[16:24]) == pytest.approx(
+        (2 * shown["width"], 2 * shown["height"]), abs=2
+    )
+
+
+def test_every_plot_is_placed_with_its_buttons():
+    pages = ROOT / "src" / "metropilot" / "web" / "pages"
+    direct = {path.name for path in pages.glob("*.py") if "ui.plotly(" in path.read_text(encoding="utf-8")}
+    assert direct == {"frame.py"}

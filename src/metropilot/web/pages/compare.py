@@ -20,7 +20,17 @@ from metropilot.web.pages.form import (
     other_options,
     validate,
 )
-from metropilot.web.pages.frame import ActionButton, card, empty, frame, links, number, refresh_while, table
+from metropilot.web.pages.frame import (
+    ActionButton,
+    card,
+    empty,
+    frame,
+    links,
+    number,
+    plot,
+    refresh_while,
+    table,
+)
 from metropilot.web.pages.plots import blank, compare_figure, front_figure
 from metropilot.web.schemas.requests import CompareIn
 from metropilot.web.service import Service
@@ -85,7 +95,7 @@ class ComparePage:
                 self.words = (
                     ui.label(_("Computing the front …")).classes("mp-soft").props('data-test="second"')
                 )
-                self.front_plot = ui.plotly(blank(380)).classes("mp-plot")
+                self.front_plot = plot(blank(380))
                 self.front_plot.props('data-test="front"')
             with card(_("Drivers against each other")):
                 self.result = ui.element("div").classes("mp-stack").props('data-test="result"')
@@ -226,7 +236,7 @@ class ComparePage:
             what = f"{self.driven['line']} {ends}, {self.driven['trainset']} {self.driven['load']}"
             ui.label(what).classes("mp-soft").props('data-test="driven"')
             compare_table(self.entries)
-            ui.plotly(compare_figure(self.entries)).classes("mp-plot").props('data-test="picture"')
+            plot(compare_figure(self.entries)).props('data-test="picture"')
             names = ("comparison.json", "comparison.svg", "run.zip")
             links([(name, f"/api/jobs/{self.job}/files/{name}") for name in names])
         await self.move_cursor()

@@ -29,6 +29,7 @@ from metropilot.web.pages.frame import (
     frame,
     links,
     number,
+    plot,
     prop_of,
     reads,
     strip,
@@ -118,7 +119,7 @@ class ConvoyPage:
                     self.status.props('data-mp="status" aria-live=polite')
                 self.strip = strip(_("Section"))
                 reads(READS)
-                self.plot = ui.plotly(convoy_figure()).classes("mp-plot")
+                self.plot = plot(convoy_figure())
                 log = ui.element("ul").classes("mp-log").props('data-mp="log" aria-live=polite')
                 log.props(prop_of("aria-label", _("Events")))
                 self.result = ui.element("div").classes("mp-stack").props('data-test="result"')

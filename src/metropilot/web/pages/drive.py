@@ -33,6 +33,7 @@ from metropilot.web.pages.frame import (
     frame,
     links,
     number,
+    plot,
     prop_of,
     reads,
     strip,
@@ -153,7 +154,7 @@ class DrivePage:
                 self.strip = strip(_("Section"))
                 reads(READS)
                 self.lever()
-                self.plot = ui.plotly(run_figure()).classes("mp-plot mp-along")
+                self.plot = plot(run_figure()).classes("mp-along")
                 self.moment = MomentSlider(self.root, self.plot)
                 ui.element("ul").classes("mp-log").props('data-mp="log" aria-live=polite').props(
                     prop_of("aria-label", _("News"))
@@ -468,7 +469,7 @@ def explanation_card(driven: dict[str, Any]) -> None:
         with ui.element("div").classes("mp-links"):
             for regime, colour in REGIME_COLOURS.items():
                 ui.label(retell(regime)).classes("mp-swatch").style(f"--mp-swatch: {colour}")
-        ui.plotly(explanation_figure(driven)).classes("mp-plot mp-along").props('data-test="explanation"')
+        plot(explanation_figure(driven)).classes("mp-along").props('data-test="explanation"')
         rows = [
             (
                 retell(span["regime"]),

@@ -25,6 +25,7 @@ from metropilot.web.pages.frame import (
     heading,
     links,
     number,
+    plot,
     prop_of,
     reads,
     strip,
@@ -108,7 +109,7 @@ class EditPage:
             with card():
                 self.numbers = ui.element("div").classes("w-full")
                 self.map = strip(_("Line as drawn"))
-                self.plot = ui.plotly(blank(380)).classes("mp-plot").props('data-test="drawing"')
+                self.plot = plot(blank(380)).props('data-test="drawing"')
             with card(_("Versions")):
                 self.versions = ui.element("div").classes("mp-stack").props('data-test="versions"')
         self.fill()

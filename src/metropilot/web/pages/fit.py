@@ -22,6 +22,7 @@ from metropilot.web.pages.frame import (
     heading,
     links,
     number,
+    plot,
     prop_of,
     reads,
     refresh_while,
@@ -283,7 +284,7 @@ class FitPage:
                 _("Residuals"), _("Measured and simulated speed; what remains; how long it stays alike.")
             ):
                 drawn = residual_figure(found["residuals"], found["residual_mps"])
-                ui.plotly(drawn).classes("mp-plot").props('data-test="residuals"')
+                plot(drawn).props('data-test="residuals"')
 
     @staticmethod
     def show_remarks(found: dict[str, Any]) -> None:

@@ -36,7 +36,7 @@ HEAD = (
     '<link rel="stylesheet" href="/static/console.css">'
     '<script src="/static/words.js"></script>'
     '<script src="/static/access.js" defer></script><script src="/static/stream.js" defer></script>'
-    '<script src="/static/moments.js" defer></script>'
+    '<script src="/static/moments.js" defer></script><script src="/static/copies.js" defer></script>'
     '<script src="/static/live.js" defer></script><script src="/static/convoy.js" defer></script>'
     '<script src="/static/line.js" defer></script>'
 )
@@ -44,6 +44,7 @@ UPLOAD_HEADER = """<div class="row items-center no-wrap q-pa-sm q-gutter-sm">
     <q-btn outline no-caps icon="upload_file" label="%s" :disable="props.disable" @click="props.pickFiles" />
     <span class="mp-soft">%s</span>
     <div style="display: none"><q-uploader-add-trigger /></div></div>"""
+COPIES = {"svg": N_("Plot as SVG"), "png": N_("Plot as PNG"), "csv": N_("Values of the plot as CSV")}
 THEME_WORDS = {"auto": N_("auto"), "light": N_("light"), "dark": N_("dark")}
 NEXT_THEME = {"auto": "light", "light": "dark", "dark": "auto"}
 
@@ -183,6 +184,16 @@ def strip(name: str, content: str = "") -> ui.html:
     """Place a drawing of the track, which is scrolled by keyboard, too, where it is wider than its card."""
     made = ui.html(content).classes("mp-strip")
     return made.props("tabindex=0 role=group").props(prop_of("aria-label", name))
+
+
+def plot(drawn: dict[str, Any]) -> ui.plotly:
+    """Place a figure of Plotly; below it stand buttons that copy it as SVG, PNG or CSV."""
+    made = ui.plotly(drawn).classes("mp-plot")
+    with ui.element("div").classes("mp-copies"):
+        for kind, words in COPIES.items():
+            button = ui.element("button").props(f'type=button data-copy={kind} data-plot="{made.id}"')
+            button.props(prop_of("aria-label", _(words))).props["innerText"] = kind.upper()
+    return made
 
 
 def upload_field(

@@ -13,7 +13,18 @@ from nicegui import ui
 from metropilot.units import J_PER_KWH
 from metropilot.web import catalogue
 from metropilot.web.pages.form import loads, number_field, validate
-from metropilot.web.pages.frame import ActionButton, Problem, card, clock, frame, number, reads, strip, table
+from metropilot.web.pages.frame import (
+    ActionButton,
+    Problem,
+    card,
+    clock,
+    frame,
+    number,
+    plot,
+    reads,
+    strip,
+    table,
+)
 from metropilot.web.pages.plots import blank, journey_figure, sections_figure
 from metropilot.web.pages.strip import line_strip, names
 from metropilot.web.schemas.requests import JourneyIn
@@ -66,10 +77,10 @@ class JourneyPage:
                 self.map = strip(_("Whole line"))
                 self.summary = ui.element("div").props('data-test="summary"')
             with card(_("Train graph")):
-                self.graph = ui.plotly(blank(460)).classes("mp-plot")
+                self.graph = plot(blank(460))
                 self.graph.props('data-test="graph"')
             with card(_("Sections")):
-                self.bars = ui.plotly(blank(400)).classes("mp-plot")
+                self.bars = plot(blank(400))
                 self.rows = ui.element("div").classes("w-full").props('data-test="sections"')
 
     async def update_stations(self) -> None:

@@ -22,6 +22,7 @@ from metropilot.web.pages.frame import (
     frame,
     links,
     number,
+    plot,
     prop_of,
     refresh_while,
     table,
@@ -95,10 +96,8 @@ class LearnPage:
                 self.drive_it.classes("mp-links").props('data-test="drive-it"').set_visibility(False)
                 self.bar = ui.linear_progress(value=0, show_value=False).props("rounded")
                 self.bar.props(prop_of("aria-label", _("Progress")))
-                self.plot = (
-                    ui.plotly(blank(560, _("Start a run, or choose one below.")))
-                    .classes("mp-plot")
-                    .props('data-test="curves"')
+                self.plot = plot(blank(560, _("Start a run, or choose one below."))).props(
+                    'data-test="curves"'
                 )
             with card(_("Runs")):
                 self.runs = ui.element("div").classes("w-full").props('data-test="runs"')

@@ -22,6 +22,7 @@ from metropilot.web.pages.frame import (
     heading,
     links,
     number,
+    plot,
     prop_of,
     reads,
     refresh_while,
@@ -138,9 +139,7 @@ class OperationPage:
                 self.result = ui.element("div").classes("mp-stack").props('data-test="result"')
             self.running.build()
             with card(_("Over the headway")) as self.curve_card:
-                self.curve = (
-                    ui.plotly(headways_figure({}, 180.0)).classes("mp-plot").props('data-test="curve"')
-                )
+                self.curve = plot(headways_figure({}, 180.0)).props('data-test="curve"')
         self.fill_names()
 
     def fill_names(self) -> None:
@@ -375,7 +374,7 @@ class OperationPage:
             ),
         ]
         reads(items)
-        ui.plotly(operation_figure(found["graph"], day=day)).classes("mp-plot").props('data-test="graph"')
+        plot(operation_figure(found["graph"], day=day)).props('data-test="graph"')
         rows = [
             (
                 _(driving),

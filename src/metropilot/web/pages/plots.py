@@ -25,7 +25,8 @@ SYMBOLS = dict(
 )
 """Markers of the line styles, so that drivers of one colour stay distinct."""
 INK = "#5a6673"
-CONFIG = {"displaylogo": False, "responsive": True, "modeBarButtonsToRemove": ["lasso2d", "select2d"]}
+REMOVED = ["lasso2d", "select2d", "toImage"]
+CONFIG = {"displaylogo": False, "responsive": True, "modeBarButtonsToRemove": REMOVED}
 Figure = dict[str, Any]
 Trace = dict[str, Any]
 

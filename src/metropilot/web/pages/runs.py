@@ -23,6 +23,7 @@ from metropilot.web.pages.frame import (
     empty,
     frame,
     number,
+    plot,
     prop_of,
     question,
     table,
@@ -366,7 +367,7 @@ class RunsPage:
                 names = self.names(rows)
                 for key, row, name in zip("ab", rows, names, strict=True):
                     ui.link(f"{key}: {name}", catalogue.page_of(row)).classes("mp-soft")
-                ui.plotly(difference_figure(found)).classes("mp-plot").props('data-test="difference-plot"')
+                plot(difference_figure(found)).props('data-test="difference-plot"')
                 pair_table(found["kpis"])
             self.keep_view()
             ui.run_javascript(f"document.getElementById('c{self.result.id}').scrollIntoView()")
