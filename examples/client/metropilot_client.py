@@ -1475,6 +1475,21 @@ class Jobs:
         """Energies and train graph of a line; there as soon as the files are being written."""
         return json.loads(self.connection.send("GET", f"/api/jobs/{quote(str(job_id), safe='')}/line", {}))
 
+    def stop(self, job_id: str) -> JobOut:
+        """Ask a job to end; a learning run ends at its next checkpoint."""
+        return json.loads(self.connection.send("POST", f"/api/jobs/{quote(str(job_id), safe='')}/stop", {}))
+
+    def resume(self, job_id: str) -> JobOut:
+        """Go on with a job that was interrupted, stopped or failed; learning from its last checkpoint."""
+        return json.loads(self.connection.send("POST", f"/api/jobs/{quote(str(job_id), safe='')}/resume", {}))
+
+    def report(self, job_id: str) -> bytes:
+        """Report of a run, a comparison or a journey for printing (A4), made when it is asked for.
+
+        Its picture, requirements, KPIs, reasons, request, versions and commit.
+        """
+        return self.connection.send("GET", f"/api/jobs/{quote(str(job_id), safe='')}/files/report.pdf", {})
+
     def file(self, job_id: str, name: str) -> bytes:
         """A file of a job: `trajectory.csv`, `kpis.json`, `profile.svg`, `profile.png`, `run.toml`,
         ...
@@ -1488,14 +1503,6 @@ class Jobs:
         return self.connection.send(
             "GET", f"/api/jobs/{quote(str(job_id), safe='')}/files/{quote(str(name), safe='')}", {}
         )
-
-    def stop(self, job_id: str) -> JobOut:
-        """Ask a job to end; a learning run ends at its next checkpoint."""
-        return json.loads(self.connection.send("POST", f"/api/jobs/{quote(str(job_id), safe='')}/stop", {}))
-
-    def resume(self, job_id: str) -> JobOut:
-        """Go on with a job that was interrupted, stopped or failed; learning from its last checkpoint."""
-        return json.loads(self.connection.send("POST", f"/api/jobs/{quote(str(job_id), safe='')}/resume", {}))
 
 
 class Learning:

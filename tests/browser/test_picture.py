@@ -154,3 +154,12 @@ def test_every_plot_is_placed_with_its_buttons():
     pages = ROOT / "src" / "metropilot" / "web" / "pages"
     direct = {path.name for path in pages.glob("*.py") if "ui.plotly(" in path.read_text(encoding="utf-8")}
     assert direct == {"frame.py"}
+
+
+def test_a_report_is_taken_from_the_page(visit, driven):
+    page = visit(f"/?run={driven}", width=390, height=844)
+    link = page.locator('[data-test="result"]').get_by_role("link", name="report.pdf")
+    expect(link).to_be_visible()
+    answer = page.request.get(link.evaluate("at => at.href"))
+    assert answer.headers["content-type"] == "application/pdf"
+    assert answer.body().startswith(b"%PDF-")

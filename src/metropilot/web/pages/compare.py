@@ -26,7 +26,6 @@ from metropilot.web.pages.frame import (
     empty,
     frame,
     links,
-    number,
     plot,
     refresh_while,
     table,
@@ -37,6 +36,7 @@ from metropilot.web.service import Service
 from metropilot.web.store import JobRow
 from metropilot.web.words.language import N_, _
 from metropilot.web.words.said import retell
+from metropilot.web.words.tables import number
 
 SHOWN = (
     ("time_error_s", N_("time (s)"), 1.0, 2),
@@ -237,7 +237,7 @@ class ComparePage:
             ui.label(what).classes("mp-soft").props('data-test="driven"')
             compare_table(self.entries)
             plot(compare_figure(self.entries)).props('data-test="picture"')
-            names = ("comparison.json", "comparison.svg", "run.zip")
+            names = ("comparison.json", "comparison.svg", "report.pdf", "run.zip")
             links([(name, f"/api/jobs/{self.job}/files/{name}") for name in names])
         await self.move_cursor()
 

@@ -28,7 +28,6 @@ from metropilot.web.pages.frame import (
     for_users,
     frame,
     links,
-    number,
     plot,
     prop_of,
     reads,
@@ -42,6 +41,7 @@ from metropilot.web.service import Service
 from metropilot.web.store import JobRow
 from metropilot.web.words.language import N_, _, translate_each
 from metropilot.web.words.said import retell
+from metropilot.web.words.tables import number
 
 SLOW = 1.35
 """Least running time that is proposed, over the minimum: followers need room for their regulation."""

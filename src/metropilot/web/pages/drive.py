@@ -32,7 +32,6 @@ from metropilot.web.pages.frame import (
     for_users,
     frame,
     links,
-    number,
     plot,
     prop_of,
     reads,
@@ -54,6 +53,16 @@ from metropilot.web.service import RESUMABLE, Service
 from metropilot.web.store import JobRow
 from metropilot.web.words.language import N_, _, translate_each
 from metropilot.web.words.said import retell
+from metropilot.web.words.tables import (
+    check_rows,
+    explain_words,
+    hit_columns,
+    hit_rows,
+    kpi_rows,
+    number,
+    regime_columns,
+    regime_rows,
+)
 
 PACES = {1: N_("real time"), 2: "2 ×", 5: "5 ×", 10: "10 ×", 30: "30 ×"}
 READS = (
@@ -70,7 +79,7 @@ READS = (
 )
 STRONGEST = 3
 """Features of a decision that are shown."""
-TAKEN = ("trajectory.csv", "kpis.json", "explanation.json", "profile.svg", "run.zip")
+TAKEN = ("trajectory.csv", "kpis.json", "explanation.json", "profile.svg", "report.pdf", "run.zip")
 KEYS = (
     ("M", N_("take")),
     ("↑ ↓", N_("10 % more, less")),
@@ -470,51 +479,9 @@ def explanation_card(driven: dict[str, Any]) -> None:
             for regime, colour in REGIME_COLOURS.items():
                 ui.label(retell(regime)).classes("mp-swatch").style(f"--mp-swatch: {colour}")
         plot(explanation_figure(driven)).classes("mp-along").props('data-test="explanation"')
-        rows = [
-            (
-                retell(span["regime"]),
-                f"{span['from_m']:.0f} – {span['to_m']:.0f}",
-                f"{span['from_s']:.1f} – {span['to_s']:.1f}",
-                retell(span["bound"]),
-                number(span["energy_wheel_j"] / J_PER_KWH, 2),
-                *(
-                    number(None if span[name] is None else span[name] / J_PER_KWH, 3)
-                    for name in ("trainset_loss_j", "driver_loss_j")
-                ),
-            )
-            for span in told["regimes"]
-        ]
-        columns = (
-            _("regime"),
-            _("place (m)"),
-            _("time (s)"),
-            _("mostly bound by"),
-            _("energy (kWh)"),
-            _("trainset"),
-            _("driver"),
-        )
-        table(columns, rows, right=(4, 5, 6), name=_("Regimes"))
-        hits = [
-            (
-                retell(hit["guard"]),
-                f"{hit['from_m']:.0f} – {hit['to_m']:.0f}",
-                f"{hit['from_s']:.1f} – {hit['to_s']:.1f}",
-                number(KMH_PER_MPS * hit["speed_mps"], 1),
-                number(KMH_PER_MPS * hit["permitted_mps"], 1),
-                number(hit["ahead_m"], 0),
-            )
-            for hit in told["interventions"]
-        ]
-        if hits:
-            columns = (
-                _("guard"),
-                _("place (m)"),
-                _("time (s)"),
-                _("speed (km/h)"),
-                _("permitted"),
-                _("falls until (m)"),
-            )
-            table(columns, hits, right=(3, 4, 5), name=_("Interventions"))
+        table(regime_columns(), regime_rows(told), right=(4, 5, 6), name=_("Regimes"))
+        if hits := hit_rows(told):
+            table(hit_columns(), hits, right=(3, 4, 5), name=_("Interventions"))
         show_prices(told.get("prices", []))
         show_decisions(told.get("decisions", []))
         ui.label(
@@ -586,91 +553,18 @@ def show_decisions(decisions: list[dict[str, Any]]) -> None:
     ).classes("mp-soft")
 
 
-def explain_words(told: dict[str, Any], kpis: dict[str, Any]) -> str:
-    """Sum up what bound a drive, and where the driver lost most."""
-    whole = sum(span["to_s"] - span["from_s"] for span in told["bounds"])
-    times: dict[str, float] = {}
-    for span in told["bounds"]:
-        times[span["bound"]] = times.get(span["bound"], 0.0) + span["to_s"] - span["from_s"]
-    parts = [
-        f"{retell(words)} {100 * time_s / whole:.0f} %"
-        for words, time_s in sorted(times.items(), key=lambda item: -item[1])
-        if time_s >= 0.005 * whole > 0
-    ]
-    said = [_("Bound by {parts} of the time.", parts=", ".join(parts))]
-    lost = [span for span in told["regimes"] if span["driver_loss_j"] is not None]
-    if lost and kpis["optimal_energy_kwh"] is not None:
-        worst = max(lost, key=lambda span: span["driver_loss_j"])
-        said.append(
-            _(
-                "Above the optimum: {trainset} % trainset, {driver} % driver, most of it in {regime} from "
-                "{begin} to {end} m.",
-                trainset=f"{kpis['trainset_gap_percent']:.1f}",
-                driver=f"{kpis['driver_gap_percent']:.1f}",
-                regime=retell(worst["regime"]),
-                begin=f"{worst['from_m']:.0f}",
-                end=f"{worst['to_m']:.0f}",
-            )
-        )
-    count = len(told["interventions"])
-    said.append(
-        _("Protection stepped in {count} times.", count=count) if count else _("Protection never stepped in.")
-    )
-    return " ".join(said)
-
-
 def checks_table(checks: list[dict[str, Any]]) -> None:
     """Show the requirements, passed or failed."""
     rows = [
-        (
-            retell(c["name"]),
-            retell(c["value"]),
-            retell(c["wanted"]),
-            (_("✓ passed"), "mp-pass") if c["passed"] else (_("✗ failed"), "mp-fail"),
-        )
-        for c in checks
+        (*texts, (_("✓ passed"), "mp-pass") if passed else (_("✗ failed"), "mp-fail"))
+        for *texts, passed in check_rows(checks)
     ]
     table((_("requirement"), _("measured"), _("allowed"), ""), rows, right=(1,), name=_("Requirements"))
 
 
 def kpis_table(k: dict[str, Any]) -> None:
     """Show the main KPIs."""
-    wheel = k["energy_objective"] == "wheel"
-    rows = (
-        (
-            _("running time"),
-            number(k["running_time_s"], 1, "s"),
-            _("scheduled {time} s", time=f"{k['scheduled_time_s']:g}"),
-        ),
-        (_("energy at the wheel"), number(k["energy_wheel_kwh"], 2, "kWh"), _("traction")),
-        (
-            _("energy at the line"),
-            number(k["energy_line_kwh"], 2, "kWh"),
-            _("net of {energy} kWh recovered", energy=f"{k['energy_regenerated_kwh']:.2f}"),
-        ),
-        (
-            _("optimum at the wheel") if wheel else _("optimum at the line"),
-            number(k["optimal_energy_kwh"], 2, "kWh"),
-            _("for the time achieved"),
-        ),
-        (_("above the optimum"), number(k["optimality_gap_percent"], 2, "%"), ""),
-        (
-            _("attainable"),
-            number(k.get("attainable_energy_kwh"), 2, "kWh"),
-            _("with jerk limit, dead time, lag and protection"),
-        ),
-        (_("lost by the trainset"), number(k.get("trainset_gap_percent"), 2, "%"), ""),
-        (_("lost by the driver"), number(k.get("driver_gap_percent"), 2, "%"), ""),
-        (_("highest speed"), number(KMH_PER_MPS * k["max_speed_mps"], 1, "km/h"), ""),
-        (_("largest jerk"), number(k["max_jerk_mps3"], 2, "m/s³"), retell(k["comfort_band"])),
-        (
-            _("coasting"),
-            number(k["coasting_distance_m"], 0, "m"),
-            _("{count} changes of regime", count=k["regime_switches"]),
-        ),
-        (_("decision time"), number(k["decision_time_us_median"], 0, "µs"), _("median")),
-    )
-    table((_("KPI"), _("value"), ""), rows, right=(1,), name=_("KPIs"))
+    table((_("KPI"), _("value"), ""), kpi_rows(k), right=(1,), name=_("KPIs"))
 
 
 def install(service: Service) -> None:

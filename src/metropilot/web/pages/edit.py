@@ -24,7 +24,6 @@ from metropilot.web.pages.frame import (
     frame,
     heading,
     links,
-    number,
     plot,
     prop_of,
     reads,
@@ -34,6 +33,7 @@ from metropilot.web.pages.plots import blank, effort_figure, line_figure
 from metropilot.web.pages.strip import line_strip
 from metropilot.web.service import Service
 from metropilot.web.words.language import _
+from metropilot.web.words.tables import number
 from metropilot.web.work.plans import effort_curves
 
 LOOK_S = 1.5

@@ -15,13 +15,14 @@ from metropilot.evaluate import POLICY, parse_driver, run_fields
 from metropilot.units import KMH_PER_MPS, Unit
 from metropilot.web import catalogue
 from metropilot.web.errors import Refused
-from metropilot.web.pages.frame import Problem, number, prop_of
+from metropilot.web.pages.frame import Problem, prop_of
 from metropilot.web.pages.numbers import NumberField
 from metropilot.web.pages.strip import names
 from metropilot.web.schemas.requests import DriveIn, NewRestriction, PlanIn, RestrictionIn, spec_of
 from metropilot.web.service import Service
 from metropilot.web.words.language import N_, _, translate_each
 from metropilot.web.words.said import retell
+from metropilot.web.words.tables import number
 
 SLOWEST = 1.6
 OBJECTIVES = {"wheel": N_("Energy at the wheel"), "line": N_("Energy at the line")}

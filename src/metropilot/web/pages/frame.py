@@ -258,13 +258,6 @@ def empty(words: str) -> ui.label:
     return ui.label(words).classes("mp-empty w-full")
 
 
-def number(value: float | None, digits: int = 2, unit: str = "") -> str:
-    """Format a number with its unit; a dash for None."""
-    if value is None:
-        return "–"
-    return f"{value:.{digits}f}".replace("-", "−") + (f" {unit}" if unit else "")
-
-
 def clock(seconds: float) -> str:
     """Format minutes and seconds; rounding comes first, so that 60.0 s carries over."""
     minutes, tenths = divmod(round(10 * seconds), 600)

@@ -21,7 +21,6 @@ from metropilot.web.pages.frame import (
     empty,
     frame,
     links,
-    number,
     plot,
     prop_of,
     refresh_while,
@@ -35,6 +34,7 @@ from metropilot.web.service import Service
 from metropilot.web.store import JobRow
 from metropilot.web.words.language import N_, _
 from metropilot.web.words.said import retell
+from metropilot.web.words.tables import number
 
 POLL_S = 1.0
 GOING = ("queued", "running")

@@ -19,7 +19,6 @@ from metropilot.web.pages.frame import (
     frame,
     heading,
     links,
-    number,
     plot,
     prop_of,
     strip,
@@ -31,6 +30,7 @@ from metropilot.web.pages.strip import line_strip
 from metropilot.web.service import SUFFIXES, Service
 from metropilot.web.words.language import N_, _
 from metropilot.web.words.said import retell
+from metropilot.web.words.tables import number
 from metropilot.web.work.plans import effort_curves
 
 WHERE = (N_("file"), N_("field"), N_("value"), N_("unit"), N_("allowed"))

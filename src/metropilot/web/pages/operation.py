@@ -21,7 +21,6 @@ from metropilot.web.pages.frame import (
     frame,
     heading,
     links,
-    number,
     plot,
     prop_of,
     reads,
@@ -35,6 +34,7 @@ from metropilot.web.service import Service
 from metropilot.web.store import OVER, JobRow
 from metropilot.web.words.language import N_, _
 from metropilot.web.words.said import retell
+from metropilot.web.words.tables import number
 
 POLL_S = 0.5
 SHORTEST_S, LONGEST_S = 60, 900

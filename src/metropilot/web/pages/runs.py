@@ -22,7 +22,6 @@ from metropilot.web.pages.frame import (
     clock,
     empty,
     frame,
-    number,
     plot,
     prop_of,
     question,
@@ -37,6 +36,7 @@ from metropilot.web.store import JobRow
 from metropilot.web.users import present_user
 from metropilot.web.words.language import N_, _, ngettext
 from metropilot.web.words.said import retell
+from metropilot.web.words.tables import number
 
 EVERY_S = 2.0
 LISTED = 500
