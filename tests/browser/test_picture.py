@@ -163,3 +163,55 @@ def test_a_report_is_taken_from_the_page(visit, driven):
     answer = page.request.get(link.evaluate("at => at.href"))
     assert answer.headers["content-type"] == "application/pdf"
     assert answer.body().startswith(b"%PDF-")
+
+
+SPOT = """([x, y]) => { const el = document.querySelector('[data-test=live] .js-plotly-plot'), f = el._fullLayout;
+    el.scrollIntoView({ block: 'center' });
+    const box = el.getBoundingClientRect();
+    return [box.left + f.xaxis._offset + f.xaxis.d2p(x), box.top + f.yaxis._offset + f.yaxis.d2p(y)]; }"""
+
+
+def drag(page, begin, end):
+    """Drag from one point of the speed plot, m and km/h, to another."""
+    page.mouse.move(*page.evaluate(SPOT, begin))
+    page.mouse.down()
+    spot = page.evaluate(SPOT, end)
+    page.mouse.move(*spot, steps=6)
+    page.mouse.up()
+
+
+@pytest.mark.parametrize(("width", "height"), SIZES)
+def test_a_restriction_is_dragged_before_departure(visit, width, height):
+    page = visit("/", width=width, height=height)
+    expect(page.get_by_text("minimum 83.3 s")).to_be_visible(timeout=PATIENCE_MS)
+    page.get_by_text("Speed restrictions", exact=True).click()
+    page.get_by_role("button", name="Add a restriction").click()
+    rows = page.locator('[data-test="restrictions"]')
+    expect(rows.get_by_label("From (m)")).to_have_value("500")
+    page.wait_for_function(f"{PLOT}.layout.shapes?.length === 1")
+    drag(page, [550, 60], [752, 60])
+    expect(rows.get_by_label("From (m)")).to_have_value("700")
+    expect(rows.get_by_label("To (m)")).to_have_value("800")
+    expect(rows.get_by_label("Speed (km/h)")).to_have_value("40")
+    page.wait_for_function(f"{PLOT}.layout.shapes[0].x0 === 700 && {PLOT}.layout.shapes[0].x1 === 800")
+    drag(page, [750, 40], [750, 31])
+    expect(rows.get_by_label("Speed (km/h)")).to_have_value("30")
+    expect(rows.get_by_label("From (m)")).to_have_value("700")
+
+
+def test_a_restriction_is_dragged_on_the_way(visit):
+    page = visit("/", width=1440)
+    live = depart(page, "real time")
+    page.get_by_label("From (m)").fill("700")
+    page.get_by_label("To (m)").fill("900")
+    page.wait_for_function(f"({PLOT}.layout.shapes || []).some(s => s.name === 'draft' && s.x1 === 900)")
+    drag(page, [800, 60], [901, 50])
+    expect(page.get_by_label("From (m)")).to_have_value("800")
+    expect(page.get_by_label("To (m)")).to_have_value("1000")
+    expect(page.get_by_label("Speed (km/h)")).to_have_value("30")
+    page.locator('[data-test="restrict"]').click()
+    expect(page.locator('[data-mp="log"]')).to_contain_text("30 km/h from 800 to 1000 m")
+    expect(page.locator(".mp-restrictions rect")).to_have_count(1)
+    at = float(live.get_attribute("data-time") or 0)
+    page.wait_for_function(f"document.querySelector('[data-test=live]').dataset.time > {at + 0.5}")
+    page.locator('[data-test="stop"]').click()

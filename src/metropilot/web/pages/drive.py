@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from typing import Any
 
 from fastapi import Request
@@ -164,6 +165,9 @@ class DrivePage:
                 reads(READS)
                 self.lever()
                 self.plot = plot(run_figure()).classes("mp-along")
+                ends = f"'c{self.root.id}', {self.plot.id}"
+                self.plot.on("plotly_relayout", js_handler=f"(e) => metropilot.drag({ends}, e)")
+                self.root.on("mp-restriction", self.move_restriction, ["detail"])
                 self.moment = MomentSlider(self.root, self.plot)
                 ui.element("ul").classes("mp-log").props('data-mp="log" aria-live=polite').props(
                     prop_of("aria-label", _("News"))
@@ -239,9 +243,9 @@ class DrivePage:
                 ActionButton(_("10 s earlier"), on_click=lambda: self.shift(-10)).props("flat dense no-caps")
                 ActionButton(_("10 s later"), on_click=lambda: self.shift(10)).props("flat dense no-caps")
             with ui.element("div").classes("mp-row"):
-                self.from_m = number_field(NewRestriction, "from_m", value=700)
-                self.to_m = number_field(NewRestriction, "to_m", value=900)
-                self.kmh = number_field(NewRestriction, "limit_mps", value=40)
+                self.from_m = number_field(NewRestriction, "from_m", value=700, on_change=self.draw_draft)
+                self.to_m = number_field(NewRestriction, "to_m", value=900, on_change=self.draw_draft)
+                self.kmh = number_field(NewRestriction, "limit_mps", value=40, on_change=self.draw_draft)
                 for name, element in (("from_m", self.from_m), ("to_m", self.to_m), ("limit_mps", self.kmh)):
                     self.news.beside(name, element.props("outlined dense"))
             ActionButton(_("Add speed restriction"), on_click=self.restrict).props(
@@ -318,7 +322,8 @@ class DrivePage:
                 with self.form.problem.show_errors():
                     plan = await self.service.plan(self.form.plan_request(now))
                     if self.live() is None and self.form.section is not None:
-                        self.plot.update_figure(plan_figure(self.form.section, plan))
+                        told = self.form.restrictions.values()
+                        self.plot.update_figure(plan_figure(self.form.section, plan, told))
                         self.moment.close()
                         self.arrival.value = now
         finally:
@@ -364,6 +369,7 @@ class DrivePage:
         with self.result:
             ui.label(_("KPIs, passed and failed, when it has stopped.")).classes("mp-soft")
         ui.run_javascript(f"metropilot.live('c{self.root.id}', {session.id!r}, {self.plot.id})")
+        self.draw_draft()
 
     @staticmethod
     def scheduled_s(session: Session) -> float | None:
@@ -396,6 +402,21 @@ class DrivePage:
         base = self.arrival.value if session is None else self.scheduled_s(session)
         self.arrival.value = (base or 0) + seconds
         await self.tell_arrival()
+
+    def draw_draft(self) -> None:
+        """Draw the restriction of the fields, which is not sent yet, on the plot of a live run."""
+        place = [self.from_m.number, self.to_m.number, self.kmh.number]
+        if None not in place:
+            ui.run_javascript(f"metropilot.draft({json.dumps(place)})")
+
+    async def move_restriction(self, event: events.GenericEventArguments) -> None:
+        """Write a restriction that was dragged on the plot into its fields."""
+        told = event.args["detail"]
+        place = {name: float(told[name]) for name in ("from_m", "to_m", "limit_mps")}
+        if told["row"] is None:
+            self.from_m.value, self.to_m.value, self.kmh.value = place.values()
+        else:
+            await self.form.move_restriction(int(told["row"]), place)
 
     async def restrict(self) -> None:
         """Send the temporary speed restriction of the fields."""

@@ -169,6 +169,11 @@ class RestrictionForm:
             found.append(given)
         return found
 
+    def move(self, k: int, place: dict[str, float]) -> None:
+        """Write a restriction, as displayed, into the fields of a row."""
+        for name, value in place.items():
+            self.rows[k][name].value = value
+
     def restore(self, restrictions: list[dict[str, Any]]) -> None:
         """Fill in the restrictions of a request."""
         self.rows.clear()
@@ -423,6 +428,15 @@ class SectionForm:
             await self.load()
             if self.section is not None and self.time_s < self.section["minimum_running_time_s"]:
                 self.slider.value = math.ceil(self.section["minimum_running_time_s"])
+
+    async def move_restriction(self, k: int, place: dict[str, float]) -> None:
+        """Move a restriction known before departure, and plan anew; ``place`` is as displayed."""
+        if k < len(self.restrictions.rows):
+            self._filling = True
+            self.restrictions.move(k, place)
+            self._filling = False
+            self.restrictions.fold.open()
+            await self._replan()
 
     def _time_moved(self) -> Awaitable[None] | None:
         if self._filling:

@@ -148,12 +148,38 @@ def run_figure() -> Figure:
             ticktext=[_("brake"), "", _("power")],
         ),
         yaxis3=axis(_("energy (kWh)"), domain=[0.0, 0.24], rangemode="tozero"),
-    )
+    ) | {"config": {**CONFIG, "edits": {"shapePosition": True}}}
 
 
-def plan_figure(section: dict[str, Any], plan: dict[str, Any]) -> Figure:
-    """Figure of a run before departure: the limit and the optimal plan."""
+ROW = "restriction-"
+"""Beginning of the name of the rectangle of a restriction in the form; static/moments.js has it, too."""
+
+
+def plan_figure(
+    section: dict[str, Any], plan: dict[str, Any], restrictions: Sequence[Mapping[str, float | None]] = ()
+) -> Figure:
+    """Figure of a run before departure: the limit, the optimal plan, restrictions that can be dragged.
+
+    Args:
+        section: Values of :class:`metropilot.web.schemas.responses.SectionOut`.
+        plan: Values of :class:`metropilot.web.schemas.responses.PlanOut`.
+        restrictions: Those of the form: ``from_m``, ``to_m``, ``limit_mps``.
+    """
     made = run_figure()
+    top = 1.1 * KMH_PER_MPS * max(section["limit_mps"]["value"])
+    made["layout"]["shapes"] = [
+        {
+            "type": "rect",
+            "name": f"{ROW}{k}",
+            "x0": each["from_m"],
+            "x1": each["to_m"],
+            "y0": KMH_PER_MPS * (each["limit_mps"] or 0.0),
+            "y1": top,
+            "fillcolor": "rgba(213,94,0,.22)",
+            "line": {"width": 1.5, "color": VERMILION, "dash": "dot"},
+        }
+        for k, each in enumerate(restrictions)
+    ]
     values: dict[int, tuple[Sequence[float], Sequence[float]]] = {
         0: stairs(section["limit_mps"], section["length_m"], KMH_PER_MPS),
         2: (plan["position_m"], kmh(plan["speed_mps"])),

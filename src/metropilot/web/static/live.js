@@ -15,6 +15,9 @@
       super(root, id, chart);
       this.moments = new MetropilotMoments(root, chart);
       this.share = null; this.confirmed = false; this.other = null;
+      // While a rectangle is dragged nothing is drawn, which would take it from the hand.
+      this.onhold = (e) => { this.held = e.type === "pointerdown" && Boolean(e.target.closest(".mp-along .shapelayer")); };
+      for (const name of ["pointerdown", "pointerup", "pointercancel"]) document.addEventListener(name, this.onhold, true);
       this.onkey = (e) => this.key(e);
       document.addEventListener("keydown", this.onkey);
       this.onleave = () => { if (this.share !== null && !this.over) this.send({ share: null, holder: HOLDER }, true); };
@@ -24,6 +27,7 @@
 
     close() {
       this.onleave(); clearInterval(this.timer); super.close(); this.moments.close();
+      for (const name of ["pointerdown", "pointerup", "pointercancel"]) document.removeEventListener(name, this.onhold, true);
       document.removeEventListener("keydown", this.onkey); window.removeEventListener("pagehide", this.onleave);
     }
 
@@ -45,9 +49,22 @@
           y: [ys, scene.permitted.speed_mps.map((v) => v * KMH), plan.speed_mps.map((v) => v * KMH), reference.energy_wheel_j.map((j) => j / KWH)],
         }, [LIMIT, PERMITTED, PLAN, PLAN_ENERGY]);
         Plotly.relayout(el, { "xaxis.range": [-0.01 * end, 1.02 * end], "yaxis.range": [0, top],
-          shapes: scene.restrictions.map((r) => ({ type: "rect", xref: "x", yref: "y", x0: r.from_m, x1: r.to_m, y0: r.limit_mps * KMH, y1: top,
-            fillcolor: "rgba(213,94,0,.22)", line: { width: 0 } })) });
+          shapes: this.shapes(scene, top) });
       });
+    }
+
+    // Restrictions in force stay where they are; the one of the fields, not sent yet, can be dragged.
+    shapes(scene, top) {
+      const box = (from, to, kmh) => ({ type: "rect", xref: "x", yref: "y", x0: from, x1: to, y0: kmh, y1: top, fillcolor: "rgba(213,94,0,.22)", line: { width: 0 } });
+      const force = scene.restrictions.map((r) => ({ ...box(r.from_m, r.to_m, r.limit_mps * KMH), layer: "below" }));
+      if (!this.draft || this.over) return force;
+      const label = { text: metropilotSay("not sent yet"), textposition: "top center", font: { size: 11 } };
+      return [...force, { ...box(...this.draft), name: "draft", fillcolor: "rgba(213,94,0,.08)", line: { width: 1.5, color: "#d55e00", dash: "dot" }, label }];
+    }
+
+    propose(draft) {
+      this.draft = draft;
+      if (this.now && !this.over) this.draw((Plotly, el) => Plotly.relayout(el, { shapes: this.shapes(this.now, el.layout.yaxis.range[1]) }));
     }
 
     strip(svg, scene) {
@@ -65,6 +82,7 @@
         : metropilotSay("ended: {outcome}", { outcome: metropilotRetell((this.outcome || "").replaceAll("_", " ")) });
       this.over = true; this.drop();
       super.on_end(said, { done });
+      if (this.now) this.draw((Plotly, el) => Plotly.relayout(el, { shapes: this.shapes(this.now, el.layout.yaxis.range[1]) }));
       if (this.now) this.moments.offer(this.now, this.kept);
       this.root.dispatchEvent(new CustomEvent("mp-end", { detail: said.status, bubbles: true }));
     }
@@ -133,6 +151,7 @@
       this.moments.show(this.now, last, this.kept[this.kept.length - 2]);
       const slider = this.part("slider");
       if (slider && this.share === null) slider.value = last.wanted;
+      if (this.held) return;
       this.draw((Plotly, el) => {
         const fresh = this.kept.slice(this.drawn);
         this.drawn = this.kept.length;
@@ -171,6 +190,11 @@
       history.replaceState(null, "", `/?run=${id}`);
       view.set("status", metropilotSay("under way"));
       view.shown();
+    },
+    draft(place) { if (view && !view.over) view.propose(place); },
+    drag(rootId, chart, changes) {
+      const place = metropilotDragged(document.getElementById("c" + chart), changes || {});
+      if (place) document.getElementById(rootId).dispatchEvent(new CustomEvent("mp-restriction", { detail: place }));
     },
     hand() { if (view) view.share === null ? view.take(0, view.other !== null) : view.give(); },
     slide(value) { if (view && view.share !== null) view.take(+value); },

@@ -1,6 +1,22 @@
 // One moment of a run: its numbers, the trainset on the strip, a cursor on every plot over distance.
 (() => {
-  const KMH = 3.6, KWH = 3.6e6, HEAD = 5, CURSOR = "moment";
+  const KMH = 3.6, KWH = 3.6e6, HEAD = 5, CURSOR = "moment", ROW = "restriction-", DRAFT = "draft";
+  const GRID_M = 10, GRID_KMH = 5;
+
+  const snapped = (value, grid) => Math.round(value / grid) * grid;
+
+  // A rectangle that was dragged, as a restriction for the fields; null for a change of anything else.
+  window.metropilotDragged = (el, changes) => {
+    const key = Object.keys(changes).find((name) => /^shapes\[\d+\]\.[xy][01]$/.test(name));
+    const shape = key && el.layout.shapes[+key.match(/\d+/)[0]], name = (shape && shape.name) || "";
+    if (name !== DRAFT && !name.startsWith(ROW)) return null;
+    const from_m = Math.max(snapped(Math.min(shape.x0, shape.x1), GRID_M), 0);
+    return {
+      row: name === DRAFT ? null : +name.slice(ROW.length), from_m,
+      to_m: Math.max(snapped(Math.max(shape.x0, shape.x1), GRID_M), from_m + GRID_M),
+      limit_mps: Math.max(snapped(Math.min(shape.y0, shape.y1), GRID_KMH), GRID_KMH),
+    };
+  };
 
   window.MetropilotMoments = class extends MetropilotPicture {
     constructor(root, chart) { super(root, chart); this.rows = []; this.shown = null; }
@@ -106,7 +122,7 @@
       for (const el of document.querySelectorAll(".mp-along.js-plotly-plot")) {
         if (!el.layout) continue;
         const shapes = (el.layout.shapes || []).filter((shape) => shape.name !== CURSOR);
-        if (row) shapes.push({ type: "line", name: CURSOR, xref: "x", yref: "paper", x0: row.position_m, x1: row.position_m, y0: 0, y1: 1, line: { color: "#7a8793", width: 1.5 } });
+        if (row) shapes.push({ type: "line", name: CURSOR, layer: "below", xref: "x", yref: "paper", x0: row.position_m, x1: row.position_m, y0: 0, y1: 1, line: { color: "#7a8793", width: 1.5 } });
         if (row && el.id === "c" + this.chart) Plotly.update(el, { x: [[row.position_m]], y: [[row.speed_mps * KMH]] }, { shapes }, [HEAD]);
         else Plotly.relayout(el, { shapes });
       }

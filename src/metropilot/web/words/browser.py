@@ -10,6 +10,7 @@ from metropilot.web.words.said import AND, JOINTS, NUMBER, NUMBERS, SENTENCES, W
 SCRIPTS = (
     N_("under way"),
     N_("paused"),
+    N_("not sent yet"),
     N_("Pause (space)"),
     N_("Go on (space)"),
     N_("watching"),
