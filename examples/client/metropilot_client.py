@@ -921,6 +921,47 @@ class PlanOut(TypedDict):
     second_w: float
 
 
+class PlansOut(TypedDict):
+    """The optimal plan; ``plant``: what the true plant can attain with its actuation under protection.
+
+    Null without a disturbance, and where the true plant cannot keep the running time.
+    """
+
+    position_m: list[float]
+    speed_mps: list[float]
+    time_s: list[float]
+    energy_wheel_so_far_j: list[float]
+    running_time_s: float
+    minimum_running_time_s: float
+    energy_j: float
+    bound_j: float
+    certificate_gap: float
+    second_w: float
+    plant: NotRequired[PlanOut | None]
+
+
+class PlantPlanIn(TypedDict):
+    """A plan, and the disturbance of the true plant, for which a second one is made."""
+
+    ideal: NotRequired[bool]
+    mass_factor: NotRequired[float]
+    resistance_factor: NotRequired[float]
+    delay_s: NotRequired[float]
+    lag_s: NotRequired[float]
+    speed_noise_mps: NotRequired[float]
+    headwind_mps: NotRequired[float]
+    adhesion: NotRequired[float | None]
+    brake_factor: NotRequired[float]
+    line: NotRequired[str]
+    origin: NotRequired[str]
+    destination: NotRequired[str]
+    trainset: NotRequired[str]
+    load: NotRequired[str | None]
+    restrictions: NotRequired[list[RestrictionIn]]
+    time_s: NotRequired[float | None]
+    objective: NotRequired[Literal["wheel", "line"]]
+
+
 class ProjectEntries(TypedDict):
     """A project with what it holds."""
 
@@ -1354,8 +1395,10 @@ class Planning:
         """A section for a trainset, with the minimum running time."""
         return json.loads(self.connection.send("POST", "/api/section", {}, body))
 
-    def plan(self, body: PlanIn) -> PlanOut:
-        """The energy-optimal plan with its certificate."""
+    def plan(self, body: PlantPlanIn) -> PlansOut:
+        """The energy-optimal plan with its certificate; with a disturbance that of the true plant,
+        too.
+        """
         return json.loads(self.connection.send("POST", "/api/plan", {}, body))
 
     def front(self, body: PlanIn) -> FrontOut:

@@ -165,7 +165,8 @@ def test_a_report_is_taken_from_the_page(visit, driven):
     assert answer.body().startswith(b"%PDF-")
 
 
-SPOT = """([x, y]) => { const el = document.querySelector('[data-test=live] .js-plotly-plot'), f = el._fullLayout;
+SPOT = """([x, y]) => { const el = document.querySelector('[data-test=live] .js-plotly-plot');
+    const f = el._fullLayout;
     el.scrollIntoView({ block: 'center' });
     const box = el.getBoundingClientRect();
     return [box.left + f.xaxis._offset + f.xaxis.d2p(x), box.top + f.yaxis._offset + f.yaxis.d2p(y)]; }"""
@@ -215,3 +216,31 @@ def test_a_restriction_is_dragged_on_the_way(visit):
     at = float(live.get_attribute("data-time") or 0)
     page.wait_for_function(f"document.querySelector('[data-test=live]').dataset.time > {at + 0.5}")
     page.locator('[data-test="stop"]').click()
+
+
+@pytest.mark.parametrize(("width", "height"), SIZES)
+def test_the_plan_follows_the_true_plant(visit, width, height):
+    page = visit("/", width=width, height=height)
+    expect(page.get_by_text("minimum 83.3 s")).to_be_visible(timeout=PATIENCE_MS)
+    page.get_by_text("Disturbances", exact=True).click()
+    field = page.get_by_label("True mass / nominal", exact=True).and_(page.get_by_role("spinbutton"))
+    field.fill("1.2")
+    plant = f"{PLOT}.data.find(t => t.name === 'plan of the true plant')"
+    page.wait_for_function(f"{plant}.x.length > 50")
+    words = page.locator('[data-test="plant"]')
+    expect(words).to_contain_text("at best")
+    heavy = words.inner_text()
+    slider = page.locator('.q-slider[aria-label="Additional dead time"] [tabindex="0"]')
+    slider.focus()
+    delay = page.get_by_label("Additional dead time (s)", exact=True)
+    for value in ("0.05", "0.1", "0.15"):
+        page.keyboard.press("ArrowRight")
+        expect(delay).to_have_value(value)
+    expect(words).not_to_have_text(heavy)
+    field.fill("1")
+    slider.focus()
+    for value in ("0.1", "0.05", "0"):
+        page.keyboard.press("ArrowLeft")
+        expect(delay).to_have_value(value)
+    expect(words).to_have_text("")
+    page.wait_for_function(f"{plant}.x.length === 0")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Awaitable
 from typing import Any
 
 from fastapi import Request
@@ -119,6 +120,7 @@ class DrivePage:
         self.disturbances = DisturbanceForm()
         self.wanted_s: float | None = None
         self.planning = False
+        self.filling = False
 
     def build(self) -> None:
         """Build the fields on the left and the results on the right."""
@@ -135,7 +137,7 @@ class DrivePage:
                 self.driver_words = ui.label("").classes("mp-soft").props('data-test="driver-words"')
                 self.driver_options.build(self.form.problem)
                 self.say_driver()
-                self.disturbances.build(self.form.problem)
+                self.disturbances.build(self.form.problem, self.follow_plant)
                 with ui.element("div").classes("mp-row"):
                     self.pace = ui.select(
                         translate_each(PACES),
@@ -285,7 +287,9 @@ class DrivePage:
             InputError: Its line, station or trainset does not exist any more.
         """
         self.form.restore(body)
+        self.filling = True
         self.disturbances.restore(body)
+        self.filling = False
         self.driver.value = driver_choice(self.service, self.driver, body["driver"], body["options"])
         self.driver_options.show(self.driver.value, other_options(body["options"]))
         self.form.kept_words.text = describe_hidden(self.form.kept, {})
@@ -320,7 +324,8 @@ class DrivePage:
             while (now := self.wanted_s) is not None:
                 self.wanted_s = None
                 with self.form.problem.show_errors():
-                    plan = await self.service.plan(self.form.plan_request(now))
+                    plan = await self.service.plan(self.form.plan_request(now, self.disturbances.values()))
+                    self.disturbances.say_plant(plan)
                     if self.live() is None and self.form.section is not None:
                         told = self.form.restrictions.values()
                         self.plot.update_figure(plan_figure(self.form.section, plan, told))
@@ -328,6 +333,10 @@ class DrivePage:
                         self.arrival.value = now
         finally:
             self.planning = False
+
+    def follow_plant(self) -> Awaitable[None] | None:
+        """Plan anew for another true plant, except while the form is filled."""
+        return None if self.filling else self.update_plan()
 
     def session(self) -> Session | None:
         """Session of the run of the page, None if the server has none."""

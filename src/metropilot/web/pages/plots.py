@@ -134,6 +134,8 @@ def run_figure() -> Figure:
         line(_("plan's energy"), [], [], SKY, width=6.0, opacity=0.65, yaxis="y3", showlegend=False),
         line(_("energy at the wheel"), [], [], BLUE, yaxis="y3", showlegend=False),
         line(_("net at the line"), [], [], GREY, width=1.4, dash="dash", yaxis="y3"),
+        line(_("plan of the true plant"), [], [], GREEN, dash="dash"),
+        line(_("energy of the true plant"), [], [], GREEN, dash="dash", yaxis="y3", showlegend=False),
     ]
     return figure(
         traces,
@@ -162,7 +164,7 @@ def plan_figure(
 
     Args:
         section: Values of :class:`metropilot.web.schemas.responses.SectionOut`.
-        plan: Values of :class:`metropilot.web.schemas.responses.PlanOut`.
+        plan: Values of :class:`metropilot.web.schemas.responses.PlansOut`.
         restrictions: Those of the form: ``from_m``, ``to_m``, ``limit_mps``.
     """
     made = run_figure()
@@ -185,6 +187,9 @@ def plan_figure(
         2: (plan["position_m"], kmh(plan["speed_mps"])),
         7: (plan["position_m"], kwh(plan["energy_wheel_so_far_j"])),
     }
+    if (plant := plan.get("plant")) is not None:
+        values[10] = (plant["position_m"], kmh(plant["speed_mps"]))
+        values[11] = (plant["position_m"], kwh(plant["energy_wheel_so_far_j"]))
     return _fill(made, values)
 
 
