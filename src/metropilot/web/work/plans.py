@@ -162,7 +162,7 @@ def plan_of(request: RunSpec) -> dict[str, Any]:
 
 
 def plant_plan_of(request: RunSpec) -> dict[str, Any] | None:
-    """What the true plant can attain in the running time, with its actuation under protection.
+    """Plan that the true plant can attain in the running time, with its actuation under protection.
 
     Returns:
         The plan; None without a disturbance, and where the true plant cannot keep the time.
