@@ -921,6 +921,47 @@ class PlanOut(TypedDict):
     second_w: float
 
 
+class PlansOut(TypedDict):
+    """The optimal plan; ``plant``: what the true plant can attain with its actuation under protection.
+
+    Null without a disturbance, and where the true plant cannot keep the running time.
+    """
+
+    position_m: list[float]
+    speed_mps: list[float]
+    time_s: list[float]
+    energy_wheel_so_far_j: list[float]
+    running_time_s: float
+    minimum_running_time_s: float
+    energy_j: float
+    bound_j: float
+    certificate_gap: float
+    second_w: float
+    plant: NotRequired[PlanOut | None]
+
+
+class PlantPlanIn(TypedDict):
+    """A plan, and the disturbance of the true plant, for which a second one is made."""
+
+    ideal: NotRequired[bool]
+    mass_factor: NotRequired[float]
+    resistance_factor: NotRequired[float]
+    delay_s: NotRequired[float]
+    lag_s: NotRequired[float]
+    speed_noise_mps: NotRequired[float]
+    headwind_mps: NotRequired[float]
+    adhesion: NotRequired[float | None]
+    brake_factor: NotRequired[float]
+    line: NotRequired[str]
+    origin: NotRequired[str]
+    destination: NotRequired[str]
+    trainset: NotRequired[str]
+    load: NotRequired[str | None]
+    restrictions: NotRequired[list[RestrictionIn]]
+    time_s: NotRequired[float | None]
+    objective: NotRequired[Literal["wheel", "line"]]
+
+
 class ProjectEntries(TypedDict):
     """A project with what it holds."""
 
@@ -1354,8 +1395,10 @@ class Planning:
         """A section for a trainset, with the minimum running time."""
         return json.loads(self.connection.send("POST", "/api/section", {}, body))
 
-    def plan(self, body: PlanIn) -> PlanOut:
-        """The energy-optimal plan with its certificate."""
+    def plan(self, body: PlantPlanIn) -> PlansOut:
+        """The energy-optimal plan with its certificate; with a disturbance that of the true plant,
+        too.
+        """
         return json.loads(self.connection.send("POST", "/api/plan", {}, body))
 
     def front(self, body: PlanIn) -> FrontOut:
@@ -1475,6 +1518,21 @@ class Jobs:
         """Energies and train graph of a line; there as soon as the files are being written."""
         return json.loads(self.connection.send("GET", f"/api/jobs/{quote(str(job_id), safe='')}/line", {}))
 
+    def stop(self, job_id: str) -> JobOut:
+        """Ask a job to end; a learning run ends at its next checkpoint."""
+        return json.loads(self.connection.send("POST", f"/api/jobs/{quote(str(job_id), safe='')}/stop", {}))
+
+    def resume(self, job_id: str) -> JobOut:
+        """Go on with a job that was interrupted, stopped or failed; learning from its last checkpoint."""
+        return json.loads(self.connection.send("POST", f"/api/jobs/{quote(str(job_id), safe='')}/resume", {}))
+
+    def report(self, job_id: str) -> bytes:
+        """Report of a run, a comparison or a journey for printing (A4), made when it is asked for.
+
+        Its picture, requirements, KPIs, reasons, request, versions and commit.
+        """
+        return self.connection.send("GET", f"/api/jobs/{quote(str(job_id), safe='')}/files/report.pdf", {})
+
     def file(self, job_id: str, name: str) -> bytes:
         """A file of a job: `trajectory.csv`, `kpis.json`, `profile.svg`, `profile.png`, `run.toml`,
         ...
@@ -1488,14 +1546,6 @@ class Jobs:
         return self.connection.send(
             "GET", f"/api/jobs/{quote(str(job_id), safe='')}/files/{quote(str(name), safe='')}", {}
         )
-
-    def stop(self, job_id: str) -> JobOut:
-        """Ask a job to end; a learning run ends at its next checkpoint."""
-        return json.loads(self.connection.send("POST", f"/api/jobs/{quote(str(job_id), safe='')}/stop", {}))
-
-    def resume(self, job_id: str) -> JobOut:
-        """Go on with a job that was interrupted, stopped or failed; learning from its last checkpoint."""
-        return json.loads(self.connection.send("POST", f"/api/jobs/{quote(str(job_id), safe='')}/resume", {}))
 
 
 class Learning:
@@ -1777,6 +1827,10 @@ class Live:
         return json.loads(
             self.connection.send("POST", f"/api/live/{quote(str(live_id), safe='')}/pace", {}, body)
         )
+
+    def step(self, live_id: str) -> EventOut:
+        """Pause the run and simulate one second of it; a pace other than 0 lets it go on."""
+        return json.loads(self.connection.send("POST", f"/api/live/{quote(str(live_id), safe='')}/step", {}))
 
     def stop(self, live_id: str) -> EventOut:
         """End a live run, or take it out of the queue; it can be resumed."""

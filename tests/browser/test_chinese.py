@@ -22,12 +22,12 @@ TEXTS = """() => {
     return found.concat(document.title);
 }"""
 UNITS = "permil MN kWh km cm mm kN kW MW Wh min kg MB ms MPa Hz UTC id"
-NAMES = """metropilot TOML JSON CSV SVG ZIP DuckDB TTOBench safetensors KPI ATP AW WebAssembly Davis Esc PID
-    PPO DDPG DQN SAC NAF EITOE EITOP STON STOD ITOR Huang Lu Cheng Chen Zhou Yin et al Lillicrap Haarnoja Gu
-    English all planned policy PATH RUN set Python docs md write campaign robustness
+NAMES = """metropilot TOML JSON CSV SVG PNG PDF ZIP DuckDB TTOBench safetensors KPI ATP AW WebAssembly Davis
+    Esc PID PPO DDPG DQN SAC NAF EITOE EITOP STON STOD ITOR Huang Lu Cheng Chen Zhou Yin et al Lillicrap
+    Haarnoja Gu English all planned policy PATH RUN set Python docs md write campaign robustness
     python jax jaxlib numpy AMD EPYC budget paper as printed reproduce"""
 """Names, and words that are typed as they stand."""
-FILES = r"\S+\.(csv|json|svg|png|toml|zip|parquet|safetensors)\b"
+FILES = r"\S+\.(csv|json|svg|png|pdf|toml|zip|parquet|safetensors)\b"
 KEPT = re.compile(rf"{FILES}|\b\S*_\S*\b|\w+-\d\S*|/api/\S*|\b[0-9a-f]{{9}}\b")
 """Files, ids, addresses and commits."""
 

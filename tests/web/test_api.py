@@ -38,6 +38,22 @@ def test_the_catalogue(server):
     assert "drive" in {row["id"] for row in server.get("/api/tasks")}
 
 
+def test_a_plan_has_that_of_the_true_plant_beside_it(server):
+    plain = server.post("/api/plan", {**SECTION, "time_s": 101})
+    assert plain["plant"] is None
+    heavy = server.post("/api/plan", {**SECTION, "time_s": 101, "mass_factor": 1.2})
+    late = server.post(
+        "/api/plan", {**SECTION, "time_s": 101, "mass_factor": 1.2, "delay_s": 0.5, "lag_s": 0.4}
+    )
+    assert heavy["energy_j"] == late["energy_j"] == plain["energy_j"]
+    assert 1.1 * plain["energy_j"] < heavy["plant"]["energy_j"] < late["plant"]["energy_j"]
+    assert late["plant"]["minimum_running_time_s"] > plain["minimum_running_time_s"]
+    barely = server.post("/api/plan", {**SECTION, "time_s": 84, "mass_factor": 1.4})
+    assert barely["plant"] is None
+    refused = server.post("/api/plan", {**SECTION, "mass_factor": 9}, code=422)
+    assert refused["error"]["field"] == "mass_factor"
+
+
 def test_a_plan_has_a_certificate_and_a_price(server):
     section = server.post("/api/section", SECTION)
     assert 80 < section["minimum_running_time_s"] < 85

@@ -4,6 +4,7 @@ import asyncio
 import json
 import time
 from io import BytesIO
+from itertools import pairwise
 from zipfile import ZipFile
 
 import pytest
@@ -85,6 +86,22 @@ def test_a_live_run_is_told_news_and_arrives(server):
     steps = [row[-1] for row in rows(seen) + rows(rest)]
     assert steps == list(range(1, len(steps) + 1))
     assert server.get(f"/api/jobs/{live}/drive")["kpis"]["outcome"] == "arrived"
+
+
+def test_a_run_is_stepped_second_by_second(server):
+    live = server.post("/api/live", {**SECTION, "pace": 5}, code=201)["id"]
+    seen = watch(server, live, until=watch_for(20))
+    server.post(f"/api/live/{live}/arrival", {"scheduled_time_s": 110})
+    ends = [server.post(f"/api/live/{live}/step", {})["at_s"] for _ in range(3)]
+    assert ends[1:] == pytest.approx([ends[0] + 1, ends[0] + 2], abs=1e-6)
+    known = server.get(f"/api/live/{live}")
+    assert (known["pace"], known["time_s"]) == (0, pytest.approx(ends[2]))
+    pace(server, live, 100)
+    rest = watch(server, live, after=seen[-1][0])
+    at = [row[0] for row in rows(seen) + rows(rest)][:-1]  # the last one ends where the trainset stands
+    assert [b - a for a, b in pairwise(at)] == pytest.approx([at[0]] * (len(at) - 1), abs=1e-3)
+    assert rest[-1][2] == {"status": "done"}
+    assert "over" in server.post(f"/api/live/{live}/step", {}, code=409)["error"]["message"]
 
 
 def test_a_hand_that_lets_go_gives_the_lever_back(server):

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from zipfile import ZIP_DEFLATED, ZipFile
 
+from metropilot._provenance import provenance
 from metropilot.drivers import DRIVERS
 from metropilot.errors import InputError
 from metropilot.evaluate import difference_of, option_defaults
@@ -29,6 +30,7 @@ from metropilot.railway import (
 )
 from metropilot.sim import Trajectory
 from metropilot.web.errors import Refused
+from metropilot.web.schemas.requests import CompareIn, DriveIn, JourneyIn, LiveIn
 from metropilot.web.service import Service, live_kind
 from metropilot.web.store import JobRow
 from metropilot.web.words.language import N_
@@ -458,6 +460,38 @@ def file_of(service: Service, job: str, name: str) -> Path:
     if name not in FILES.get(row.kind, ()) or not path.is_file():
         raise Refused("no such file", 404, field="name", value=name)
     return path
+
+
+async def report_of(service: Service, job: str) -> bytes:
+    """Report of a run, a comparison or a journey as PDF, made now.
+
+    Raises:
+        Refused: No such job, it is of another kind, or it has no result (404).
+    """
+    from metropilot.web.work.reports import KIND_WORDS, report_pdf
+
+    row = service.store.job(job)
+    result = result_of(service, job, tuple(KIND_WORDS))
+    bodies = {"drive": DriveIn, "live": LiveIn, "compare": CompareIn, "journey": JourneyIn}
+    fields, always = bodies[row.kind].model_fields, {"line", "origin", "destination", "trainset", "driver"}
+    given = {
+        name: value
+        for name, value in row.request.items()
+        if name in always
+        or name not in fields
+        or value != fields[name].get_default(call_default_factory=True)
+    }
+    what = f"{row.request['line']} {row.request['origin'] or ''} {row.request['destination'] or ''}".strip()
+    about = {
+        "id": row.id,
+        "name": row.name or f"{KIND_WORDS[row.kind]}: {what}",
+        "created": row.created,
+        "request": given,
+        "made_with": provenance(),
+    }
+    return await service.pools.answer(
+        report_pdf, row.kind, about, result, str(service.root / "jobs" / row.id)
+    )
 
 
 def archive_of(service: Service, job: str) -> bytes:

@@ -33,6 +33,7 @@ from metropilot.web.schemas.requests import (
     LiveIn,
     OperationIn,
     PlanIn,
+    PlantPlanIn,
     RunningLineIn,
     SectionIn,
     StudyIn,
@@ -395,8 +396,8 @@ class Service:
         """A section and its minimum running time."""
         return await self.pools.answer(plans.section_of, self.run_spec(body))
 
-    async def plan(self, body: PlanIn) -> dict[str, Any]:
-        """The optimal plan."""
+    async def plan(self, body: PlantPlanIn) -> dict[str, Any]:
+        """The optimal plan, and with a disturbance that of the true plant."""
         return await self.pools.answer(plans.plan_of, self.run_spec(body))
 
     async def front(self, body: PlanIn) -> dict[str, Any]:

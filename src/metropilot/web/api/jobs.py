@@ -46,6 +46,9 @@ ARCHIVE = "run.zip"
 PNG: dict[int | str, dict[str, Any]] = {
     200: {"content": {"image/png": {"schema": {"type": "string", "format": "binary"}}}}
 }
+PDF: dict[int | str, dict[str, Any]] = {
+    200: {"content": {"application/pdf": {"schema": {"type": "string", "format": "binary"}}}}
+}
 FigureName = Annotated[str, Path(pattern=r"^[a-z0-9_]{1,40}\.png$")]
 FileName = Annotated[str, Path(pattern=r"^[a-z]{1,16}(-[0-9])?\.(csv|json|parquet|svg|png|toml|zip)$")]
 
@@ -152,6 +155,35 @@ def routes(service: Service) -> APIRouter:
         """Energies and train graph of a line; there as soon as the files are being written."""
         return catalogue.result_of(service, job_id, ("line",))
 
+    @router.post("/jobs/{job_id}/stop", response_model=JobOut)
+    def stop(job_id: Key) -> JobRow:
+        """Ask a job to end; a learning run ends at its next checkpoint."""
+        service.stop(job_id)
+        return service.store.job(job_id)
+
+    @router.post("/jobs/{job_id}/resume", response_model=JobOut, status_code=202)
+    def resume(job_id: Key) -> JobRow:
+        """Go on with a job that was interrupted, stopped or failed; learning from its last checkpoint."""
+        service.resume(job_id)
+        return service.store.job(job_id)
+
+    _add_files(router, service)
+    _add_learning(router, service)
+    return router
+
+
+def _add_files(router: APIRouter, service: Service) -> None:
+    @router.get("/jobs/{job_id}/files/report.pdf", response_class=Response, responses=PDF)
+    async def report(job_id: Key) -> Response:
+        """Report of a run, a comparison or a journey for printing (A4), made when it is asked for.
+
+        Its picture, requirements, KPIs, reasons, request, versions and commit.
+        """
+        told = {"Content-Disposition": f'inline; filename="{job_id}-report.pdf"'}
+        return Response(
+            await catalogue.report_of(service, job_id), media_type="application/pdf", headers=told
+        )
+
     @router.get("/jobs/{job_id}/files/{name}", response_class=FileResponse)
     def file(job_id: Key, name: FileName) -> Response:
         """A file of a job: `trajectory.csv`, `kpis.json`, `profile.svg`, `profile.png`, `run.toml`, ...
@@ -167,21 +199,6 @@ def routes(service: Service) -> APIRouter:
             content = catalogue.archive_of(service, job_id)
             return Response(content, media_type="application/zip", headers=told)
         return FileResponse(catalogue.file_of(service, job_id, name), filename=f"{job_id}-{name}")
-
-    @router.post("/jobs/{job_id}/stop", response_model=JobOut)
-    def stop(job_id: Key) -> JobRow:
-        """Ask a job to end; a learning run ends at its next checkpoint."""
-        service.stop(job_id)
-        return service.store.job(job_id)
-
-    @router.post("/jobs/{job_id}/resume", response_model=JobOut, status_code=202)
-    def resume(job_id: Key) -> JobRow:
-        """Go on with a job that was interrupted, stopped or failed; learning from its last checkpoint."""
-        service.resume(job_id)
-        return service.store.job(job_id)
-
-    _add_learning(router, service)
-    return router
 
 
 def _add_learning(router: APIRouter, service: Service) -> None:

@@ -159,6 +159,11 @@ def routes(service: Service) -> APIRouter:
         """Change the pace of the run: 1 is real time, 0 pauses it."""
         return await tell(live_id, "pace", body)
 
+    @router.post("/live/{live_id}/step", response_model=EventOut)
+    async def step(live_id: Key) -> dict[str, Any]:
+        """Pause the run and simulate one second of it; a pace other than 0 lets it go on."""
+        return await tell(live_id, "step", RequestBody())
+
     @router.post("/live/{live_id}/stop", response_model=EventOut)
     async def stop(live_id: Key) -> dict[str, Any]:
         """End a live run, or take it out of the queue; it can be resumed."""

@@ -6,8 +6,8 @@ from typing import Any
 
 from fastapi import APIRouter
 
-from metropilot.web.schemas.requests import JourneyIn, PlanIn, SectionIn
-from metropilot.web.schemas.responses import FrontOut, JourneyOut, PlanOut, SectionOut
+from metropilot.web.schemas.requests import JourneyIn, PlanIn, PlantPlanIn, SectionIn
+from metropilot.web.schemas.responses import FrontOut, JourneyOut, PlansOut, SectionOut
 from metropilot.web.service import Service
 
 
@@ -20,9 +20,9 @@ def routes(service: Service) -> APIRouter:
         """A section for a trainset, with the minimum running time."""
         return await service.section(body)
 
-    @router.post("/plan", response_model=PlanOut)
-    async def plan(body: PlanIn) -> dict[str, Any]:
-        """The energy-optimal plan with its certificate."""
+    @router.post("/plan", response_model=PlansOut)
+    async def plan(body: PlantPlanIn) -> dict[str, Any]:
+        """The energy-optimal plan with its certificate; with a disturbance that of the true plant, too."""
         return await service.plan(body)
 
     @router.post("/front", response_model=FrontOut)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from multiprocessing.connection import Connection
 from pathlib import Path
 from time import monotonic
@@ -27,6 +28,10 @@ MOST_STEPS = 40
 """Control periods simulated at most before events are read again, so that a high pace stays responsive."""
 GIVEN_UP_S = 0.5
 """Lag behind the clock above which the clock is set back, so that a run does not race to catch up."""
+ROUNDING_S = 1e-6
+"""Rounding of a run's clock, a sum of periods, which must not put a period off to the next round."""
+STEP_S = 1.0
+"""Time of the run that a step simulates; at least one control period."""
 GIVE_BACK = {"kind": "lever", "share": None, "take_over": True}
 """The event that returns the lever to the driver, whatever its holder."""
 SERVER_GONE = (EOFError, BrokenPipeError, ConnectionResetError)
@@ -163,6 +168,8 @@ class Driving:
         elif event["kind"] == "pace":
             self.pace = float(event["pace"])
             self._clock(engine)
+        elif event["kind"] == "step":
+            self._step(engine)
         else:
             self._apply(engine, event)
         known = {"number": number, "time_s": engine.time_s, "lever": engine.lever()}
@@ -198,9 +205,23 @@ class Driving:
             self._apply(engine, GIVE_BACK)
         if self.pace <= 0:
             return
-        dt, rows, began = engine.dt_s, [], monotonic()
-        # The engine's clock is a sum of periods; rounding must not put a period off to the next round.
-        while engine.time_s + dt <= self._clock_s() + 1e-6 and not engine.over:
+        self._simulate(engine, self._clock_s)
+        if self._clock_s() - engine.time_s > GIVEN_UP_S * max(self.pace, 1.0):
+            self._clock(engine)
+
+    def _step(self, engine: AnyEngine) -> None:
+        """Pause the run and simulate a second of it."""
+        self.pace = 0.0
+        until_s = engine.time_s + max(STEP_S, engine.dt_s)
+        self._clock(engine)
+        while engine.time_s + engine.dt_s <= until_s + ROUNDING_S and not engine.over:
+            self._simulate(engine, lambda: until_s)
+        self._clock(engine)
+
+    def _simulate(self, engine: AnyEngine, until_s: Callable[[], float]) -> None:
+        """Simulate the control periods up to a time, at most ``MOST_STEPS``, and send their rows."""
+        rows, began = [], monotonic()
+        while engine.time_s + engine.dt_s <= until_s() + ROUNDING_S and not engine.over:
             rows.append(engine.advance())
             if len(rows) >= MOST_STEPS or monotonic() - began > FLUSH_S:
                 break
@@ -208,8 +229,6 @@ class Driving:
             self._rows(engine, rows)
         if self._send_updates(engine):
             self._say_scene(engine)
-        if self._clock_s() - engine.time_s > GIVEN_UP_S * max(self.pace, 1.0):
-            self._clock(engine)
 
     def _report(self, engine: AnyEngine) -> None:
         from metropilot.web.work.drives import folder_of

@@ -20,13 +20,23 @@ from metropilot.web.pages.form import (
     other_options,
     validate,
 )
-from metropilot.web.pages.frame import ActionButton, card, empty, frame, links, number, refresh_while, table
+from metropilot.web.pages.frame import (
+    ActionButton,
+    card,
+    empty,
+    frame,
+    links,
+    plot,
+    refresh_while,
+    table,
+)
 from metropilot.web.pages.plots import blank, compare_figure, front_figure
 from metropilot.web.schemas.requests import CompareIn
 from metropilot.web.service import Service
 from metropilot.web.store import JobRow
 from metropilot.web.words.language import N_, _
 from metropilot.web.words.said import retell
+from metropilot.web.words.tables import number
 
 SHOWN = (
     ("time_error_s", N_("time (s)"), 1.0, 2),
@@ -85,7 +95,7 @@ class ComparePage:
                 self.words = (
                     ui.label(_("Computing the front …")).classes("mp-soft").props('data-test="second"')
                 )
-                self.front_plot = ui.plotly(blank(380)).classes("mp-plot")
+                self.front_plot = plot(blank(380))
                 self.front_plot.props('data-test="front"')
             with card(_("Drivers against each other")):
                 self.result = ui.element("div").classes("mp-stack").props('data-test="result"')
@@ -226,8 +236,8 @@ class ComparePage:
             what = f"{self.driven['line']} {ends}, {self.driven['trainset']} {self.driven['load']}"
             ui.label(what).classes("mp-soft").props('data-test="driven"')
             compare_table(self.entries)
-            ui.plotly(compare_figure(self.entries)).classes("mp-plot").props('data-test="picture"')
-            names = ("comparison.json", "comparison.svg", "run.zip")
+            plot(compare_figure(self.entries)).props('data-test="picture"')
+            names = ("comparison.json", "comparison.svg", "report.pdf", "run.zip")
             links([(name, f"/api/jobs/{self.job}/files/{name}") for name in names])
         await self.move_cursor()
 

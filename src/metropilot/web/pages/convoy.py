@@ -28,7 +28,7 @@ from metropilot.web.pages.frame import (
     for_users,
     frame,
     links,
-    number,
+    plot,
     prop_of,
     reads,
     strip,
@@ -41,6 +41,7 @@ from metropilot.web.service import Service
 from metropilot.web.store import JobRow
 from metropilot.web.words.language import N_, _, translate_each
 from metropilot.web.words.said import retell
+from metropilot.web.words.tables import number
 
 SLOW = 1.35
 """Least running time that is proposed, over the minimum: followers need room for their regulation."""
@@ -118,7 +119,7 @@ class ConvoyPage:
                     self.status.props('data-mp="status" aria-live=polite')
                 self.strip = strip(_("Section"))
                 reads(READS)
-                self.plot = ui.plotly(convoy_figure()).classes("mp-plot")
+                self.plot = plot(convoy_figure())
                 log = ui.element("ul").classes("mp-log").props('data-mp="log" aria-live=polite')
                 log.props(prop_of("aria-label", _("Events")))
                 self.result = ui.element("div").classes("mp-stack").props('data-test="result"')

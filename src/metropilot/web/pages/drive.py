@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+from collections.abc import Awaitable
 from typing import Any
 
 from fastapi import Request
@@ -32,12 +34,13 @@ from metropilot.web.pages.frame import (
     for_users,
     frame,
     links,
-    number,
+    plot,
     prop_of,
     reads,
     strip,
     table,
 )
+from metropilot.web.pages.moment import MomentSlider
 from metropilot.web.pages.plots import (
     REGIME_COLOURS,
     drive_figure,
@@ -52,6 +55,16 @@ from metropilot.web.service import RESUMABLE, Service
 from metropilot.web.store import JobRow
 from metropilot.web.words.language import N_, _, translate_each
 from metropilot.web.words.said import retell
+from metropilot.web.words.tables import (
+    check_rows,
+    explain_words,
+    hit_columns,
+    hit_rows,
+    kpi_rows,
+    number,
+    regime_columns,
+    regime_rows,
+)
 
 PACES = {1: N_("real time"), 2: "2 ×", 5: "5 ×", 10: "10 ×", 30: "30 ×"}
 READS = (
@@ -68,7 +81,7 @@ READS = (
 )
 STRONGEST = 3
 """Features of a decision that are shown."""
-TAKEN = ("trajectory.csv", "kpis.json", "explanation.json", "profile.svg", "run.zip")
+TAKEN = ("trajectory.csv", "kpis.json", "explanation.json", "profile.svg", "report.pdf", "run.zip")
 KEYS = (
     ("M", N_("take")),
     ("↑ ↓", N_("10 % more, less")),
@@ -107,6 +120,7 @@ class DrivePage:
         self.disturbances = DisturbanceForm()
         self.wanted_s: float | None = None
         self.planning = False
+        self.filling = False
 
     def build(self) -> None:
         """Build the fields on the left and the results on the right."""
@@ -123,7 +137,7 @@ class DrivePage:
                 self.driver_words = ui.label("").classes("mp-soft").props('data-test="driver-words"')
                 self.driver_options.build(self.form.problem)
                 self.say_driver()
-                self.disturbances.build(self.form.problem)
+                self.disturbances.build(self.form.problem, self.follow_plant)
                 with ui.element("div").classes("mp-row"):
                     self.pace = ui.select(
                         translate_each(PACES),
@@ -148,18 +162,15 @@ class DrivePage:
             self.root = ui.element("section").classes("mp-card").props('data-test="live"')
             self.root.props(f"data-status={'none' if self.row is None else self.row.status}")
             with self.root, ui.element("div").classes("mp-stack"):
-                with ui.element("div").classes("mp-row items-center"):
-                    ui.label(_("Live run")).classes("mp-h").props("role=heading aria-level=2")
-                    status = ui.label(self.status_words()).classes("mp-soft")
-                    status.props('data-mp="status" aria-live=polite')
-                    ui.label("").classes("mp-soft").props('data-mp="pace"')
-                    self.resume_button = ActionButton(_("Resume"), icon="replay", on_click=self.resume)
-                    self.resume_button.props('outline dense data-test="resume"')
-                    self.resume_button.set_visibility(self.resumable())
+                self.build_head()
                 self.strip = strip(_("Section"))
                 reads(READS)
                 self.lever()
-                self.plot = ui.plotly(run_figure()).classes("mp-plot")
+                self.plot = plot(run_figure()).classes("mp-along")
+                ends = f"'c{self.root.id}', {self.plot.id}"
+                self.plot.on("plotly_relayout", js_handler=f"(e) => metropilot.drag({ends}, e)")
+                self.root.on("mp-restriction", self.move_restriction, ["detail"])
+                self.moment = MomentSlider(self.root, self.plot)
                 ui.element("ul").classes("mp-log").props('data-mp="log" aria-live=polite').props(
                     prop_of("aria-label", _("News"))
                 )
@@ -169,6 +180,21 @@ class DrivePage:
                 self.map = strip(_("Whole line"))
             self.root.on("mp-result", self.show_result, ["detail"])
             self.root.on("mp-end", self.show_end, ["detail"])
+
+    def build_head(self) -> None:
+        """Build the heading of the run: its status, pause, step, resume."""
+        with ui.element("div").classes("mp-row items-center"):
+            ui.label(_("Live run")).classes("mp-h").props("role=heading aria-level=2")
+            status = ui.label(self.status_words()).classes("mp-soft")
+            status.props('data-mp="status" aria-live=polite')
+            ui.label("").classes("mp-soft").props('data-mp="pace"')
+            with ui.element("div").classes("mp-paces"):
+                pause = ActionButton(_("Pause (space)"), on_click=self.pause)
+                pause.props('outline dense data-mp="pause"')
+                ActionButton(_("Step 1 s"), on_click=self.step).props('outline dense data-test="step"')
+            self.resume_button = ActionButton(_("Resume"), icon="replay", on_click=self.resume)
+            self.resume_button.props('outline dense data-test="resume"')
+            self.resume_button.set_visibility(self.resumable())
 
     def say_driver(self) -> None:
         """Show what the chosen driver is, and its options."""
@@ -219,9 +245,9 @@ class DrivePage:
                 ActionButton(_("10 s earlier"), on_click=lambda: self.shift(-10)).props("flat dense no-caps")
                 ActionButton(_("10 s later"), on_click=lambda: self.shift(10)).props("flat dense no-caps")
             with ui.element("div").classes("mp-row"):
-                self.from_m = number_field(NewRestriction, "from_m", value=700)
-                self.to_m = number_field(NewRestriction, "to_m", value=900)
-                self.kmh = number_field(NewRestriction, "limit_mps", value=40)
+                self.from_m = number_field(NewRestriction, "from_m", value=700, on_change=self.draw_draft)
+                self.to_m = number_field(NewRestriction, "to_m", value=900, on_change=self.draw_draft)
+                self.kmh = number_field(NewRestriction, "limit_mps", value=40, on_change=self.draw_draft)
                 for name, element in (("from_m", self.from_m), ("to_m", self.to_m), ("limit_mps", self.kmh)):
                     self.news.beside(name, element.props("outlined dense"))
             ActionButton(_("Add speed restriction"), on_click=self.restrict).props(
@@ -245,6 +271,8 @@ class DrivePage:
             found = self.service.store.result(self.row.id)
             if found is not None:
                 self.plot.update_figure(drive_figure(found))
+                if self.form.section is not None:
+                    self.moment.offer(found, self.form.section["length_m"])
                 self.show_why(found)
                 self.show_kpis(self.row.id, found)
             if self.row.error is not None:
@@ -259,7 +287,9 @@ class DrivePage:
             InputError: Its line, station or trainset does not exist any more.
         """
         self.form.restore(body)
+        self.filling = True
         self.disturbances.restore(body)
+        self.filling = False
         self.driver.value = driver_choice(self.service, self.driver, body["driver"], body["options"])
         self.driver_options.show(self.driver.value, other_options(body["options"]))
         self.form.kept_words.text = describe_hidden(self.form.kept, {})
@@ -294,12 +324,19 @@ class DrivePage:
             while (now := self.wanted_s) is not None:
                 self.wanted_s = None
                 with self.form.problem.show_errors():
-                    plan = await self.service.plan(self.form.plan_request(now))
+                    plan = await self.service.plan(self.form.plan_request(now, self.disturbances.values()))
+                    self.disturbances.say_plant(plan)
                     if self.live() is None and self.form.section is not None:
-                        self.plot.update_figure(plan_figure(self.form.section, plan))
+                        told = self.form.restrictions.values()
+                        self.plot.update_figure(plan_figure(self.form.section, plan, told))
+                        self.moment.close()
                         self.arrival.value = now
         finally:
             self.planning = False
+
+    def follow_plant(self) -> Awaitable[None] | None:
+        """Plan anew for another true plant, except while the form is filled."""
+        return None if self.filling else self.update_plan()
 
     def session(self) -> Session | None:
         """Session of the run of the page, None if the server has none."""
@@ -341,6 +378,7 @@ class DrivePage:
         with self.result:
             ui.label(_("KPIs, passed and failed, when it has stopped.")).classes("mp-soft")
         ui.run_javascript(f"metropilot.live('c{self.root.id}', {session.id!r}, {self.plot.id})")
+        self.draw_draft()
 
     @staticmethod
     def scheduled_s(session: Session) -> float | None:
@@ -374,6 +412,21 @@ class DrivePage:
         self.arrival.value = (base or 0) + seconds
         await self.tell_arrival()
 
+    def draw_draft(self) -> None:
+        """Draw the restriction of the fields, which is not sent yet, on the plot of a live run."""
+        place = [self.from_m.number, self.to_m.number, self.kmh.number]
+        if None not in place:
+            ui.run_javascript(f"metropilot.draft({json.dumps(place)})")
+
+    async def move_restriction(self, event: events.GenericEventArguments) -> None:
+        """Write a restriction that was dragged on the plot into its fields."""
+        told = event.args["detail"]
+        place = {name: float(told[name]) for name in ("from_m", "to_m", "limit_mps")}
+        if told["row"] is None:
+            self.from_m.value, self.to_m.value, self.kmh.value = place.values()
+        else:
+            await self.form.move_restriction(int(told["row"]), place)
+
     async def restrict(self) -> None:
         """Send the temporary speed restriction of the fields."""
         with self.news.show_errors():
@@ -390,6 +443,18 @@ class DrivePage:
         pace = float(self.pace.value)
         if (session := self.live()) is not None and session.known.pace != pace:
             await session.ask({"kind": "pace", "pace": pace})
+
+    async def pause(self) -> None:
+        """Pause the run, or let it go on at the pace of the field."""
+        with self.departure.show_errors():
+            session = self.live()
+            paused = session is not None and session.known.pace == 0
+            await self.ask({"kind": "pace", "pace": float(self.pace.value) if paused else 0.0})
+
+    async def step(self) -> None:
+        """Pause the run and simulate a second of it."""
+        with self.departure.show_errors():
+            await self.ask({"kind": "step"})
 
     async def stop(self) -> None:
         """End the run."""
@@ -443,52 +508,10 @@ def explanation_card(driven: dict[str, Any]) -> None:
         with ui.element("div").classes("mp-links"):
             for regime, colour in REGIME_COLOURS.items():
                 ui.label(retell(regime)).classes("mp-swatch").style(f"--mp-swatch: {colour}")
-        ui.plotly(explanation_figure(driven)).classes("mp-plot").props('data-test="explanation"')
-        rows = [
-            (
-                retell(span["regime"]),
-                f"{span['from_m']:.0f} – {span['to_m']:.0f}",
-                f"{span['from_s']:.1f} – {span['to_s']:.1f}",
-                retell(span["bound"]),
-                number(span["energy_wheel_j"] / J_PER_KWH, 2),
-                *(
-                    number(None if span[name] is None else span[name] / J_PER_KWH, 3)
-                    for name in ("trainset_loss_j", "driver_loss_j")
-                ),
-            )
-            for span in told["regimes"]
-        ]
-        columns = (
-            _("regime"),
-            _("place (m)"),
-            _("time (s)"),
-            _("mostly bound by"),
-            _("energy (kWh)"),
-            _("trainset"),
-            _("driver"),
-        )
-        table(columns, rows, right=(4, 5, 6), name=_("Regimes"))
-        hits = [
-            (
-                retell(hit["guard"]),
-                f"{hit['from_m']:.0f} – {hit['to_m']:.0f}",
-                f"{hit['from_s']:.1f} – {hit['to_s']:.1f}",
-                number(KMH_PER_MPS * hit["speed_mps"], 1),
-                number(KMH_PER_MPS * hit["permitted_mps"], 1),
-                number(hit["ahead_m"], 0),
-            )
-            for hit in told["interventions"]
-        ]
-        if hits:
-            columns = (
-                _("guard"),
-                _("place (m)"),
-                _("time (s)"),
-                _("speed (km/h)"),
-                _("permitted"),
-                _("falls until (m)"),
-            )
-            table(columns, hits, right=(3, 4, 5), name=_("Interventions"))
+        plot(explanation_figure(driven)).classes("mp-along").props('data-test="explanation"')
+        table(regime_columns(), regime_rows(told), right=(4, 5, 6), name=_("Regimes"))
+        if hits := hit_rows(told):
+            table(hit_columns(), hits, right=(3, 4, 5), name=_("Interventions"))
         show_prices(told.get("prices", []))
         show_decisions(told.get("decisions", []))
         ui.label(
@@ -560,91 +583,18 @@ def show_decisions(decisions: list[dict[str, Any]]) -> None:
     ).classes("mp-soft")
 
 
-def explain_words(told: dict[str, Any], kpis: dict[str, Any]) -> str:
-    """Sum up what bound a drive, and where the driver lost most."""
-    whole = sum(span["to_s"] - span["from_s"] for span in told["bounds"])
-    times: dict[str, float] = {}
-    for span in told["bounds"]:
-        times[span["bound"]] = times.get(span["bound"], 0.0) + span["to_s"] - span["from_s"]
-    parts = [
-        f"{retell(words)} {100 * time_s / whole:.0f} %"
-        for words, time_s in sorted(times.items(), key=lambda item: -item[1])
-        if time_s >= 0.005 * whole > 0
-    ]
-    said = [_("Bound by {parts} of the time.", parts=", ".join(parts))]
-    lost = [span for span in told["regimes"] if span["driver_loss_j"] is not None]
-    if lost and kpis["optimal_energy_kwh"] is not None:
-        worst = max(lost, key=lambda span: span["driver_loss_j"])
-        said.append(
-            _(
-                "Above the optimum: {trainset} % trainset, {driver} % driver, most of it in {regime} from "
-                "{begin} to {end} m.",
-                trainset=f"{kpis['trainset_gap_percent']:.1f}",
-                driver=f"{kpis['driver_gap_percent']:.1f}",
-                regime=retell(worst["regime"]),
-                begin=f"{worst['from_m']:.0f}",
-                end=f"{worst['to_m']:.0f}",
-            )
-        )
-    count = len(told["interventions"])
-    said.append(
-        _("Protection stepped in {count} times.", count=count) if count else _("Protection never stepped in.")
-    )
-    return " ".join(said)
-
-
 def checks_table(checks: list[dict[str, Any]]) -> None:
     """Show the requirements, passed or failed."""
     rows = [
-        (
-            retell(c["name"]),
-            retell(c["value"]),
-            retell(c["wanted"]),
-            (_("✓ passed"), "mp-pass") if c["passed"] else (_("✗ failed"), "mp-fail"),
-        )
-        for c in checks
+        (*texts, (_("✓ passed"), "mp-pass") if passed else (_("✗ failed"), "mp-fail"))
+        for *texts, passed in check_rows(checks)
     ]
     table((_("requirement"), _("measured"), _("allowed"), ""), rows, right=(1,), name=_("Requirements"))
 
 
 def kpis_table(k: dict[str, Any]) -> None:
     """Show the main KPIs."""
-    wheel = k["energy_objective"] == "wheel"
-    rows = (
-        (
-            _("running time"),
-            number(k["running_time_s"], 1, "s"),
-            _("scheduled {time} s", time=f"{k['scheduled_time_s']:g}"),
-        ),
-        (_("energy at the wheel"), number(k["energy_wheel_kwh"], 2, "kWh"), _("traction")),
-        (
-            _("energy at the line"),
-            number(k["energy_line_kwh"], 2, "kWh"),
-            _("net of {energy} kWh recovered", energy=f"{k['energy_regenerated_kwh']:.2f}"),
-        ),
-        (
-            _("optimum at the wheel") if wheel else _("optimum at the line"),
-            number(k["optimal_energy_kwh"], 2, "kWh"),
-            _("for the time achieved"),
-        ),
-        (_("above the optimum"), number(k["optimality_gap_percent"], 2, "%"), ""),
-        (
-            _("attainable"),
-            number(k.get("attainable_energy_kwh"), 2, "kWh"),
-            _("with jerk limit, dead time, lag and protection"),
-        ),
-        (_("lost by the trainset"), number(k.get("trainset_gap_percent"), 2, "%"), ""),
-        (_("lost by the driver"), number(k.get("driver_gap_percent"), 2, "%"), ""),
-        (_("highest speed"), number(KMH_PER_MPS * k["max_speed_mps"], 1, "km/h"), ""),
-        (_("largest jerk"), number(k["max_jerk_mps3"], 2, "m/s³"), retell(k["comfort_band"])),
-        (
-            _("coasting"),
-            number(k["coasting_distance_m"], 0, "m"),
-            _("{count} changes of regime", count=k["regime_switches"]),
-        ),
-        (_("decision time"), number(k["decision_time_us_median"], 0, "µs"), _("median")),
-    )
-    table((_("KPI"), _("value"), ""), rows, right=(1,), name=_("KPIs"))
+    table((_("KPI"), _("value"), ""), kpi_rows(k), right=(1,), name=_("KPIs"))
 
 
 def install(service: Service) -> None:

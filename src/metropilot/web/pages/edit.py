@@ -24,7 +24,7 @@ from metropilot.web.pages.frame import (
     frame,
     heading,
     links,
-    number,
+    plot,
     prop_of,
     reads,
     strip,
@@ -33,6 +33,7 @@ from metropilot.web.pages.plots import blank, effort_figure, line_figure
 from metropilot.web.pages.strip import line_strip
 from metropilot.web.service import Service
 from metropilot.web.words.language import _
+from metropilot.web.words.tables import number
 from metropilot.web.work.plans import effort_curves
 
 LOOK_S = 1.5
@@ -108,7 +109,7 @@ class EditPage:
             with card():
                 self.numbers = ui.element("div").classes("w-full")
                 self.map = strip(_("Line as drawn"))
-                self.plot = ui.plotly(blank(380)).classes("mp-plot").props('data-test="drawing"')
+                self.plot = plot(blank(380)).props('data-test="drawing"')
             with card(_("Versions")):
                 self.versions = ui.element("div").classes("mp-stack").props('data-test="versions"')
         self.fill()

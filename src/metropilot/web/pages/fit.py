@@ -21,7 +21,7 @@ from metropilot.web.pages.frame import (
     frame,
     heading,
     links,
-    number,
+    plot,
     prop_of,
     reads,
     refresh_while,
@@ -34,6 +34,7 @@ from metropilot.web.service import Service
 from metropilot.web.store import OVER, JobRow
 from metropilot.web.words.language import N_, _, translate_each
 from metropilot.web.words.said import retell
+from metropilot.web.words.tables import number
 from metropilot.web.work.drives import FILES
 from metropilot.web.work.plans import LOG
 
@@ -283,7 +284,7 @@ class FitPage:
                 _("Residuals"), _("Measured and simulated speed; what remains; how long it stays alike.")
             ):
                 drawn = residual_figure(found["residuals"], found["residual_mps"])
-                ui.plotly(drawn).classes("mp-plot").props('data-test="residuals"')
+                plot(drawn).props('data-test="residuals"')
 
     @staticmethod
     def show_remarks(found: dict[str, Any]) -> None:

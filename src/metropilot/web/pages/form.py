@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import math
-from collections.abc import Awaitable, Callable, Sequence
+from collections.abc import Awaitable, Callable, Mapping, Sequence
+from types import MappingProxyType
 from typing import Any, TypeVar
 
 from nicegui import ui
@@ -12,16 +13,24 @@ from pydantic import BaseModel, ValidationError
 
 from metropilot.errors import InputError, MetropilotError
 from metropilot.evaluate import POLICY, parse_driver, run_fields
-from metropilot.units import KMH_PER_MPS, Unit
+from metropilot.units import J_PER_KWH, KMH_PER_MPS, Unit
 from metropilot.web import catalogue
 from metropilot.web.errors import Refused
-from metropilot.web.pages.frame import Problem, number, prop_of
+from metropilot.web.pages.frame import Problem, prop_of
 from metropilot.web.pages.numbers import NumberField
 from metropilot.web.pages.strip import names
-from metropilot.web.schemas.requests import DriveIn, NewRestriction, PlanIn, RestrictionIn, spec_of
+from metropilot.web.schemas.requests import (
+    DriveIn,
+    NewRestriction,
+    PlanIn,
+    PlantPlanIn,
+    RestrictionIn,
+    spec_of,
+)
 from metropilot.web.service import Service
 from metropilot.web.words.language import N_, _, translate_each
 from metropilot.web.words.said import retell
+from metropilot.web.words.tables import number
 
 SLOWEST = 1.6
 OBJECTIVES = {"wheel": N_("Energy at the wheel"), "line": N_("Energy at the line")}
@@ -168,6 +177,11 @@ class RestrictionForm:
             found.append(given)
         return found
 
+    def move(self, k: int, place: dict[str, float]) -> None:
+        """Write a restriction, as displayed, into the fields of a row."""
+        for name, value in place.items():
+            self.rows[k][name].value = value
+
     def restore(self, restrictions: list[dict[str, Any]]) -> None:
         """Fill in the restrictions of a request."""
         self.rows.clear()
@@ -263,13 +277,20 @@ class SectionForm:
             "time_s": self.time_s,
         }
 
-    def plan_request(self, time_s: float | None) -> PlanIn:
+    def plan_request(
+        self, time_s: float | None, disturbance: Mapping[str, Any] = MappingProxyType({})
+    ) -> PlantPlanIn:
         """Plan request of the fields for a running time.
+
+        Args:
+            time_s: Running time.
+            disturbance: Values of the true plant; others of a run are left out.
 
         Raises:
             InputError: A field is not allowed.
         """
-        return validate(PlanIn, {**self.values(), "time_s": time_s})
+        plant = {name: value for name, value in disturbance.items() if name in PlantPlanIn.model_fields}
+        return validate(PlantPlanIn, {**self.values(), **plant, "time_s": time_s})
 
     def restore(self, body: dict[str, Any]) -> None:
         """Fill the fields with the request of a run; the page loads afterwards.
@@ -423,6 +444,15 @@ class SectionForm:
             if self.section is not None and self.time_s < self.section["minimum_running_time_s"]:
                 self.slider.value = math.ceil(self.section["minimum_running_time_s"])
 
+    async def move_restriction(self, k: int, place: dict[str, float]) -> None:
+        """Move a restriction known before departure, and plan anew; ``place`` is as displayed."""
+        if k < len(self.restrictions.rows):
+            self._filling = True
+            self.restrictions.move(k, place)
+            self._filling = False
+            self.restrictions.fold.open()
+            await self._replan()
+
     def _time_moved(self) -> Awaitable[None] | None:
         if self._filling:
             return None
@@ -464,8 +494,12 @@ class FoldedNumbers:
         self.fold = ui.expansion(self.title).props("dense").classes("mp-soft")
         with self.fold, ui.element("div").classes("mp-stack") as self.stack:
             for name in self.fields:
-                field = number_field(self.kind, name, on_change=changed)
+                field = self.place(name, changed)
                 self.inputs[name] = problem.beside(name, field, self.fold)
+
+    def place(self, name: str, changed: Callable[[], Any] | None) -> NumberField:
+        """Place a field."""
+        return number_field(self.kind, name, on_change=changed)
 
     def defaults(self) -> dict[str, Any]:
         """Defaults of the fields."""
@@ -485,8 +519,17 @@ class FoldedNumbers:
             self.fold.open()
 
 
+SLIDERS = {
+    "mass_factor": (0.7, 1.5, 0.01),
+    "resistance_factor": (0.5, 2.0, 0.05),
+    "delay_s": (0.0, 2.0, 0.05),
+    "lag_s": (0.0, 2.0, 0.05),
+}
+"""Disturbances with a slider where a plan follows: least, greatest, step; the fields take more."""
+
+
 class DisturbanceForm(FoldedNumbers):
-    """Fields of the disturbance."""
+    """Fields of the disturbance; where something follows their change, with sliders."""
 
     FIELDS = tuple(name for name, spec in run_fields().items() if spec.label and spec.range is not None)
 
@@ -498,7 +541,50 @@ class DisturbanceForm(FoldedNumbers):
         """Place the fields, and that of an ideal trainset."""
         super().build(problem, changed)
         with self.stack:
-            self.ideal = ui.checkbox(retell(run_fields()["ideal"].help.rstrip(".")))
+            words = retell(run_fields()["ideal"].help.rstrip("."))
+            self.ideal = ui.checkbox(words, on_change=changed)
+            self.plant_words = ui.label("").classes("mp-soft").props('data-test="plant" aria-live=polite')
+
+    def place(self, name: str, changed: Callable[[], Any] | None) -> NumberField:
+        """Place a field, and the slider beside it."""
+        if changed is None or name not in SLIDERS:
+            return super().place(name, changed)
+        least, most, step = SLIDERS[name]
+
+        def slide() -> None:
+            if field.number is None or slider.value != min(max(field.number, least), most):
+                field.value = slider.value
+
+        def follow() -> Any:  # noqa: ANN401 (a page's answer)
+            if field.number is not None:
+                slider.value = min(max(field.number, least), most)
+            return changed()
+
+        with ui.element("div").classes("mp-slid"):
+            field = number_field(self.kind, name, on_change=follow)
+            slider = ui.slider(min=least, max=most, step=step, value=field.value or least, on_change=slide)
+            slider.props(prop_of("aria-label", _(spec_of(self.kind, name).label)))
+        return field
+
+    def say_plant(self, plan: dict[str, Any]) -> None:
+        """Say what the true plant needs.
+
+        Args:
+            plan: Values of :class:`metropilot.web.schemas.responses.PlansOut`.
+        """
+        given = {name: value for name, value in self.values().items() if name in PlantPlanIn.model_fields}
+        plain = {name: PlantPlanIn.model_fields[name].get_default() for name in given}
+        if given == plain:
+            self.plant_words.text = ""
+        elif plan["plant"] is None:
+            self.plant_words.text = _("The true plant cannot keep this running time under protection.")
+        else:
+            self.plant_words.text = _(
+                "The true plant needs {energy} kWh at best, with its dead time, lag and jerk limit under "
+                "protection; the plan is {planned} kWh.",
+                energy=number(plan["plant"]["energy_j"] / J_PER_KWH, 2),
+                planned=number(plan["energy_j"] / J_PER_KWH, 2),
+            )
 
     def defaults(self) -> dict[str, Any]:
         """Values of the fields of a run without disturbance."""

@@ -36,6 +36,7 @@ HEAD = (
     '<link rel="stylesheet" href="/static/console.css">'
     '<script src="/static/words.js"></script>'
     '<script src="/static/access.js" defer></script><script src="/static/stream.js" defer></script>'
+    '<script src="/static/moments.js" defer></script><script src="/static/copies.js" defer></script>'
     '<script src="/static/live.js" defer></script><script src="/static/convoy.js" defer></script>'
     '<script src="/static/line.js" defer></script>'
 )
@@ -43,6 +44,7 @@ UPLOAD_HEADER = """<div class="row items-center no-wrap q-pa-sm q-gutter-sm">
     <q-btn outline no-caps icon="upload_file" label="%s" :disable="props.disable" @click="props.pickFiles" />
     <span class="mp-soft">%s</span>
     <div style="display: none"><q-uploader-add-trigger /></div></div>"""
+COPIES = {"svg": N_("Plot as SVG"), "png": N_("Plot as PNG"), "csv": N_("Values of the plot as CSV")}
 THEME_WORDS = {"auto": N_("auto"), "light": N_("light"), "dark": N_("dark")}
 NEXT_THEME = {"auto": "light", "light": "dark", "dark": "auto"}
 
@@ -184,6 +186,16 @@ def strip(name: str, content: str = "") -> ui.html:
     return made.props("tabindex=0 role=group").props(prop_of("aria-label", name))
 
 
+def plot(drawn: dict[str, Any]) -> ui.plotly:
+    """Place a figure of Plotly; below it stand buttons that copy it as SVG, PNG or CSV."""
+    made = ui.plotly(drawn).classes("mp-plot")
+    with ui.element("div").classes("mp-copies"):
+        for kind, words in COPIES.items():
+            button = ui.element("button").props(f'type=button data-copy={kind} data-plot="{made.id}"')
+            button.props(prop_of("aria-label", _(words))).props["innerText"] = kind.upper()
+    return made
+
+
 def upload_field(
     words: str, kinds: Sequence[str], most_bytes: int, take: Callable[..., Any], refuse: Callable[[], Any]
 ) -> ui.upload:
@@ -244,13 +256,6 @@ def table(
 def empty(words: str) -> ui.label:
     """Place the words of an empty list or result."""
     return ui.label(words).classes("mp-empty w-full")
-
-
-def number(value: float | None, digits: int = 2, unit: str = "") -> str:
-    """Format a number with its unit; a dash for None."""
-    if value is None:
-        return "–"
-    return f"{value:.{digits}f}".replace("-", "−") + (f" {unit}" if unit else "")
 
 
 def clock(seconds: float) -> str:

@@ -13,12 +13,24 @@ from nicegui import ui
 from metropilot.units import J_PER_KWH
 from metropilot.web import catalogue
 from metropilot.web.pages.form import loads, number_field, validate
-from metropilot.web.pages.frame import ActionButton, Problem, card, clock, frame, number, reads, strip, table
+from metropilot.web.pages.frame import (
+    ActionButton,
+    Problem,
+    card,
+    clock,
+    frame,
+    links,
+    plot,
+    reads,
+    strip,
+    table,
+)
 from metropilot.web.pages.plots import blank, journey_figure, sections_figure
 from metropilot.web.pages.strip import line_strip, names
 from metropilot.web.schemas.requests import JourneyIn
 from metropilot.web.service import Service
 from metropilot.web.words.language import N_, _, translate_each
+from metropilot.web.words.tables import number
 
 WAYS = {"timetable": N_("Keep the timetable"), "optimum": N_("Let the optimum spread the reserve")}
 
@@ -66,10 +78,10 @@ class JourneyPage:
                 self.map = strip(_("Whole line"))
                 self.summary = ui.element("div").props('data-test="summary"')
             with card(_("Train graph")):
-                self.graph = ui.plotly(blank(460)).classes("mp-plot")
+                self.graph = plot(blank(460))
                 self.graph.props('data-test="graph"')
             with card(_("Sections")):
-                self.bars = ui.plotly(blank(400)).classes("mp-plot")
+                self.bars = plot(blank(400))
                 self.rows = ui.element("div").classes("w-full").props('data-test="sections"')
 
     async def update_stations(self) -> None:
@@ -100,7 +112,7 @@ class JourneyPage:
         """Plan the journey of the fields and keep it among the runs."""
         with self.problem.show_errors(), self.planning():
             self.job = await self.service.keep_journey(await self.request())
-            self.show(catalogue.result_of(self.service, self.job, ("journey",)))
+            self.show(catalogue.result_of(self.service, self.job, ("journey",)), self.job)
             ui.run_javascript(f"history.replaceState(null, '', '/journey?job={self.job}')")
 
     @contextmanager
@@ -133,7 +145,7 @@ class JourneyPage:
         with self.problem.show_errors():
             found = catalogue.result_of(self.service, self.job, ("journey",))
             self.restore(self.service.store.job(self.job).request)
-            self.show(found)
+            self.show(found, self.job)
 
     def restore(self, body: dict[str, Any]) -> None:
         """Fill the fields with the request of a journey.
@@ -162,7 +174,7 @@ class JourneyPage:
         finally:
             self.filling = False
 
-    def show(self, found: dict[str, Any]) -> None:
+    def show(self, found: dict[str, Any], job: str | None = None) -> None:
         """Show numbers and pictures of the journey."""
         ends = self.fields["origin"].value, self.fields["destination"].value
         self.map.content = line_strip(self.line, ends)
@@ -208,6 +220,8 @@ class JourneyPage:
         self.rows.clear()
         with self.rows:
             table(columns, rows, right=range(1, 6), name=_("Sections"))
+            if job is not None:
+                links([("report.pdf", f"/api/jobs/{job}/files/report.pdf")])
 
 
 def install(service: Service) -> None:

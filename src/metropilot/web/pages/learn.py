@@ -21,7 +21,7 @@ from metropilot.web.pages.frame import (
     empty,
     frame,
     links,
-    number,
+    plot,
     prop_of,
     refresh_while,
     table,
@@ -34,6 +34,7 @@ from metropilot.web.service import Service
 from metropilot.web.store import JobRow
 from metropilot.web.words.language import N_, _
 from metropilot.web.words.said import retell
+from metropilot.web.words.tables import number
 
 POLL_S = 1.0
 GOING = ("queued", "running")
@@ -95,10 +96,8 @@ class LearnPage:
                 self.drive_it.classes("mp-links").props('data-test="drive-it"').set_visibility(False)
                 self.bar = ui.linear_progress(value=0, show_value=False).props("rounded")
                 self.bar.props(prop_of("aria-label", _("Progress")))
-                self.plot = (
-                    ui.plotly(blank(560, _("Start a run, or choose one below.")))
-                    .classes("mp-plot")
-                    .props('data-test="curves"')
+                self.plot = plot(blank(560, _("Start a run, or choose one below."))).props(
+                    'data-test="curves"'
                 )
             with card(_("Runs")):
                 self.runs = ui.element("div").classes("w-full").props('data-test="runs"')

@@ -19,7 +19,7 @@ from metropilot.web.pages.frame import (
     frame,
     heading,
     links,
-    number,
+    plot,
     prop_of,
     strip,
     table,
@@ -30,6 +30,7 @@ from metropilot.web.pages.strip import line_strip
 from metropilot.web.service import SUFFIXES, Service
 from metropilot.web.words.language import N_, _
 from metropilot.web.words.said import retell
+from metropilot.web.words.tables import number
 from metropilot.web.work.plans import effort_curves
 
 WHERE = (N_("file"), N_("field"), N_("value"), N_("unit"), N_("allowed"))
@@ -111,7 +112,7 @@ class LinesPage:
                 ),
             ):
                 strip(_("Whole line"), line_strip(found))
-                ui.plotly(line_figure(found)).classes("mp-plot")
+                plot(line_figure(found))
                 self.edit_link("line", found)
             with card(_("Sections")):
                 rows = [
@@ -149,7 +150,7 @@ class LinesPage:
                 empty(str(error))
                 return
             with card(found["name"], f"{found['length_m']:.0f} m · id {key}"):
-                ui.plotly(effort_figure(curves)).classes("mp-plot").props('data-test="effort"')
+                plot(effort_figure(curves)).props('data-test="effort"')
                 rows = [(name, number(kg / 1000, 1)) for name, kg in found["loads_kg"].items()]
                 table((_("load"), _("mass (t)")), rows, right=(1,), name=_("Loads"))
                 self.edit_link("trainset", found)

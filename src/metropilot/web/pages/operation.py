@@ -21,7 +21,7 @@ from metropilot.web.pages.frame import (
     frame,
     heading,
     links,
-    number,
+    plot,
     prop_of,
     reads,
     refresh_while,
@@ -34,6 +34,7 @@ from metropilot.web.service import Service
 from metropilot.web.store import OVER, JobRow
 from metropilot.web.words.language import N_, _
 from metropilot.web.words.said import retell
+from metropilot.web.words.tables import number
 
 POLL_S = 0.5
 SHORTEST_S, LONGEST_S = 60, 900
@@ -138,9 +139,7 @@ class OperationPage:
                 self.result = ui.element("div").classes("mp-stack").props('data-test="result"')
             self.running.build()
             with card(_("Over the headway")) as self.curve_card:
-                self.curve = (
-                    ui.plotly(headways_figure({}, 180.0)).classes("mp-plot").props('data-test="curve"')
-                )
+                self.curve = plot(headways_figure({}, 180.0)).props('data-test="curve"')
         self.fill_names()
 
     def fill_names(self) -> None:
@@ -375,7 +374,7 @@ class OperationPage:
             ),
         ]
         reads(items)
-        ui.plotly(operation_figure(found["graph"], day=day)).classes("mp-plot").props('data-test="graph"')
+        plot(operation_figure(found["graph"], day=day)).props('data-test="graph"')
         rows = [
             (
                 _(driving),

@@ -25,7 +25,8 @@ SYMBOLS = dict(
 )
 """Markers of the line styles, so that drivers of one colour stay distinct."""
 INK = "#5a6673"
-CONFIG = {"displaylogo": False, "responsive": True, "modeBarButtonsToRemove": ["lasso2d", "select2d"]}
+REMOVED = ["lasso2d", "select2d", "toImage"]
+CONFIG = {"displaylogo": False, "responsive": True, "modeBarButtonsToRemove": REMOVED}
 Figure = dict[str, Any]
 Trace = dict[str, Any]
 
@@ -133,6 +134,8 @@ def run_figure() -> Figure:
         line(_("plan's energy"), [], [], SKY, width=6.0, opacity=0.65, yaxis="y3", showlegend=False),
         line(_("energy at the wheel"), [], [], BLUE, yaxis="y3", showlegend=False),
         line(_("net at the line"), [], [], GREY, width=1.4, dash="dash", yaxis="y3"),
+        line(_("plan of the true plant"), [], [], GREEN, dash="dash"),
+        line(_("energy of the true plant"), [], [], GREEN, dash="dash", yaxis="y3", showlegend=False),
     ]
     return figure(
         traces,
@@ -147,17 +150,46 @@ def run_figure() -> Figure:
             ticktext=[_("brake"), "", _("power")],
         ),
         yaxis3=axis(_("energy (kWh)"), domain=[0.0, 0.24], rangemode="tozero"),
-    )
+    ) | {"config": {**CONFIG, "edits": {"shapePosition": True}}}
 
 
-def plan_figure(section: dict[str, Any], plan: dict[str, Any]) -> Figure:
-    """Figure of a run before departure: the limit and the optimal plan."""
+ROW = "restriction-"
+"""Beginning of the name of the rectangle of a restriction in the form; static/moments.js has it, too."""
+
+
+def plan_figure(
+    section: dict[str, Any], plan: dict[str, Any], restrictions: Sequence[Mapping[str, float | None]] = ()
+) -> Figure:
+    """Figure of a run before departure: the limit, the optimal plan, restrictions that can be dragged.
+
+    Args:
+        section: Values of :class:`metropilot.web.schemas.responses.SectionOut`.
+        plan: Values of :class:`metropilot.web.schemas.responses.PlansOut`.
+        restrictions: Those of the form: ``from_m``, ``to_m``, ``limit_mps``.
+    """
     made = run_figure()
+    top = 1.1 * KMH_PER_MPS * max(section["limit_mps"]["value"])
+    made["layout"]["shapes"] = [
+        {
+            "type": "rect",
+            "name": f"{ROW}{k}",
+            "x0": each["from_m"],
+            "x1": each["to_m"],
+            "y0": KMH_PER_MPS * (each["limit_mps"] or 0.0),
+            "y1": top,
+            "fillcolor": "rgba(213,94,0,.22)",
+            "line": {"width": 1.5, "color": VERMILION, "dash": "dot"},
+        }
+        for k, each in enumerate(restrictions)
+    ]
     values: dict[int, tuple[Sequence[float], Sequence[float]]] = {
         0: stairs(section["limit_mps"], section["length_m"], KMH_PER_MPS),
         2: (plan["position_m"], kmh(plan["speed_mps"])),
         7: (plan["position_m"], kwh(plan["energy_wheel_so_far_j"])),
     }
+    if (plant := plan.get("plant")) is not None:
+        values[10] = (plant["position_m"], kmh(plant["speed_mps"]))
+        values[11] = (plant["position_m"], kwh(plant["energy_wheel_so_far_j"]))
     return _fill(made, values)
 
 

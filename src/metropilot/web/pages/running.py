@@ -13,12 +13,21 @@ from metropilot.web.errors import Refused, error_of
 from metropilot.web.live.line import DELAYS
 from metropilot.web.live.session import Session
 from metropilot.web.pages.form import names, number_field, validate
-from metropilot.web.pages.frame import ActionButton, Problem, for_users, links, number, prop_of, reads
+from metropilot.web.pages.frame import (
+    ActionButton,
+    Problem,
+    for_users,
+    links,
+    plot,
+    prop_of,
+    reads,
+)
 from metropilot.web.pages.plots import finished_line_figure, running_figure
 from metropilot.web.schemas.requests import NewHold, NewSlowSection, RunningLineIn
 from metropilot.web.service import RESUMABLE, Service
 from metropilot.web.store import JobRow
 from metropilot.web.words.language import N_, _, translate_each
+from metropilot.web.words.tables import number
 
 PACES = {1: N_("real time"), 5: "5 ×", 10: "10 ×", 30: "30 ×", 60: "60 ×", 0: N_("pause")}
 READS = (
@@ -80,7 +89,7 @@ class RunningCard:
                 self.resume_button.props('outline data-test="resume-line"').set_visibility(False)
             self.build_events()
             reads(READS)
-            self.plot = ui.plotly(running_figure()).classes("mp-plot").props('data-test="running-graph"')
+            self.plot = plot(running_figure()).props('data-test="running-graph"')
             log = ui.element("ul").classes("mp-log").props('data-mp="log" aria-live=polite')
             log.props(prop_of("aria-label", _("News")))
             self.result = ui.element("div").props('data-test="running-result"')

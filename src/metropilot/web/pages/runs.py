@@ -22,7 +22,7 @@ from metropilot.web.pages.frame import (
     clock,
     empty,
     frame,
-    number,
+    plot,
     prop_of,
     question,
     table,
@@ -36,6 +36,7 @@ from metropilot.web.store import JobRow
 from metropilot.web.users import present_user
 from metropilot.web.words.language import N_, _, ngettext
 from metropilot.web.words.said import retell
+from metropilot.web.words.tables import number
 
 EVERY_S = 2.0
 LISTED = 500
@@ -116,7 +117,7 @@ class RunList:
         known = session.known
         if session.waiting:
             return _("waits: {place}", place=retell(place_words(known.place)))
-        said = [clock(known.time_s), f"{known.pace:g} ×" if known.pace else _("waiting")]
+        said = [clock(known.time_s), f"{known.pace:g} ×" if known.pace else _("paused")]
         said.append(_("{count} watching", count=session.viewers) if session.viewers else _("no viewer"))
         if known.lever is not None:
             said.append(_("lever: {holder}", holder=known.lever["holder"]))
@@ -366,7 +367,7 @@ class RunsPage:
                 names = self.names(rows)
                 for key, row, name in zip("ab", rows, names, strict=True):
                     ui.link(f"{key}: {name}", catalogue.page_of(row)).classes("mp-soft")
-                ui.plotly(difference_figure(found)).classes("mp-plot").props('data-test="difference-plot"')
+                plot(difference_figure(found)).props('data-test="difference-plot"')
                 pair_table(found["kpis"])
             self.keep_view()
             ui.run_javascript(f"document.getElementById('c{self.result.id}').scrollIntoView()")

@@ -179,6 +179,12 @@ class PlanIn(SectionIn):
     objective: Annotated[str, Checked("objective", RUN_FIELDS["objective"])] = "wheel"
 
 
+class PlantPlanIn(PlanIn, DisturbanceIn):
+    """A plan, and the disturbance of the true plant, for which a second one is made."""
+
+    model_config = example(line="yizhuang", origin="RJ", destination="WYJ", time_s=101, mass_factor=1.2)
+
+
 class DriveIn(PlanIn, DisturbanceIn):
     """A run: the plan's fields, the driver, the disturbance and timetable updates."""
 

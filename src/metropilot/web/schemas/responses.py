@@ -182,6 +182,15 @@ class PlanOut(BaseModel):
     second_w: float
 
 
+class PlansOut(PlanOut):
+    """The optimal plan; ``plant``: what the true plant can attain with its actuation under protection.
+
+    Null without a disturbance, and where the true plant cannot keep the running time.
+    """
+
+    plant: PlanOut | None = None
+
+
 class FrontOut(BaseModel):
     """Optimal energy over running time; ``second_w``: energy saved by one more second."""
 

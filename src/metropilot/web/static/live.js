@@ -13,7 +13,11 @@
   class View extends MetropilotStream {
     constructor(root, id, chart) {
       super(root, id, chart);
+      this.moments = new MetropilotMoments(root, chart);
       this.share = null; this.confirmed = false; this.other = null;
+      // While a rectangle is dragged nothing is drawn, which would take it from the hand.
+      this.onhold = (e) => { this.held = e.type === "pointerdown" && Boolean(e.target.closest(".mp-along .shapelayer")); };
+      for (const name of ["pointerdown", "pointerup", "pointercancel"]) document.addEventListener(name, this.onhold, true);
       this.onkey = (e) => this.key(e);
       document.addEventListener("keydown", this.onkey);
       this.onleave = () => { if (this.share !== null && !this.over) this.send({ share: null, holder: HOLDER }, true); };
@@ -22,7 +26,8 @@
     }
 
     close() {
-      this.onleave(); clearInterval(this.timer); super.close();
+      this.onleave(); clearInterval(this.timer); super.close(); this.moments.close();
+      for (const name of ["pointerdown", "pointerup", "pointercancel"]) document.removeEventListener(name, this.onhold, true);
       document.removeEventListener("keydown", this.onkey); window.removeEventListener("pagehide", this.onleave);
     }
 
@@ -44,9 +49,22 @@
           y: [ys, scene.permitted.speed_mps.map((v) => v * KMH), plan.speed_mps.map((v) => v * KMH), reference.energy_wheel_j.map((j) => j / KWH)],
         }, [LIMIT, PERMITTED, PLAN, PLAN_ENERGY]);
         Plotly.relayout(el, { "xaxis.range": [-0.01 * end, 1.02 * end], "yaxis.range": [0, top],
-          shapes: scene.restrictions.map((r) => ({ type: "rect", xref: "x", yref: "y", x0: r.from_m, x1: r.to_m, y0: r.limit_mps * KMH, y1: top,
-            fillcolor: "rgba(213,94,0,.22)", line: { width: 0 } })) });
+          shapes: this.shapes(scene, top) });
       });
+    }
+
+    // Restrictions in force stay where they are; the one of the fields, not sent yet, can be dragged.
+    shapes(scene, top) {
+      const box = (from, to, kmh) => ({ type: "rect", xref: "x", yref: "y", x0: from, x1: to, y0: kmh, y1: top, fillcolor: "rgba(213,94,0,.22)", line: { width: 0 } });
+      const force = scene.restrictions.map((r) => ({ ...box(r.from_m, r.to_m, r.limit_mps * KMH), layer: "below" }));
+      if (!this.draft || this.over) return force;
+      const label = { text: metropilotSay("not sent yet"), textposition: "top center", font: { size: 11 } };
+      return [...force, { ...box(...this.draft), name: "draft", fillcolor: "rgba(213,94,0,.08)", line: { width: 1.5, color: "#d55e00", dash: "dot" }, label }];
+    }
+
+    propose(draft) {
+      this.draft = draft;
+      if (this.now && !this.over) this.draw((Plotly, el) => Plotly.relayout(el, { shapes: this.shapes(this.now, el.layout.yaxis.range[1]) }));
     }
 
     strip(svg, scene) {
@@ -64,6 +82,8 @@
         : metropilotSay("ended: {outcome}", { outcome: metropilotRetell((this.outcome || "").replaceAll("_", " ")) });
       this.over = true; this.drop();
       super.on_end(said, { done });
+      if (this.now) this.draw((Plotly, el) => Plotly.relayout(el, { shapes: this.shapes(this.now, el.layout.yaxis.range[1]) }));
+      if (this.now) this.moments.offer(this.now, this.kept);
       this.root.dispatchEvent(new CustomEvent("mp-end", { detail: said.status, bubbles: true }));
     }
 
@@ -108,6 +128,8 @@
       if (this.over || e.ctrlKey || e.metaKey || e.altKey) return;
       const typing = e.target.closest && e.target.closest("input:not([type=range]), textarea, [role=listbox], [role=combobox]");
       if (typing) return;
+      const pressed = e.target.closest && e.target.closest("button, a, input, [role=button], [role=slider], [tabindex='0']");
+      if (e.key === " " && !pressed && !e.repeat) { this.part("pause").click(); e.preventDefault(); return; }
       const held = this.share !== null;
       const does = { m: () => !held && !this.other && this.take(0), ArrowUp: () => held && this.take(this.share + STEP), ArrowDown: () => held && this.take(this.share - STEP),
         0: () => held && this.take(0), b: () => held && this.take(-1), Escape: () => held && this.give() }[e.key];
@@ -115,32 +137,21 @@
     }
 
     // Drawn ten times a second at most.
-    on_rows(said) { super.on_rows(said, 90); }
+    on_rows(said) {
+      super.on_rows(said, 90);
+      const pause = this.part("pause"), paused = said.pace === 0;
+      if (pause.dataset.paused !== String(paused)) {
+        pause.dataset.paused = paused;
+        pause.textContent = metropilotSay(paused ? "Go on (space)" : "Pause (space)");
+      }
+    }
 
     update(last) {
       if (!this.now) return;
-      const scene = this.now, best = last.plan_energy_wheel_j;
-      this.root.dataset.time = last.time_s; this.root.dataset.position = last.position_m;
-      this.set("speed", (last.speed_mps * KMH).toFixed(1), "km/h");
-      this.set("permitted", (last.permitted_mps * KMH).toFixed(1), "km/h");
-      this.set("distance", (scene.length_m - last.position_m).toFixed(Math.abs(scene.length_m - last.position_m) < 20 ? 2 : 0), "m");
-      this.set("time", last.time_s.toFixed(1), "s");
-      const coast = Math.abs(last.command) < 0.005;
-      this.set("command", coast ? metropilotSay("coast") : `${Math.abs(last.command * 100).toFixed(0)}`, coast ? "" : metropilotSay(last.command > 0 ? "% power" : "% brake"));
-      const before = this.kept[this.kept.length - 2];
-      if (before) this.set("power", ((last.energy_line_j - before.energy_line_j) / (last.time_s - before.time_s || 1) / 1000).toFixed(0), "kW");
-      this.set("energy", (last.energy_wheel_j / KWH).toFixed(2), "kWh");
-      this.set("against", best > 36000 ? `${((last.energy_wheel_j / best - 1) * 100).toFixed(1)}` : "–", "%");
-      this.set("level", last.level ? metropilotRetell(scene.levels[last.level]) : metropilotSay("watching"));
-      this.part("level").className = last.level ? "v mp-fail" : "v";
-      const train = this.root.querySelector(".mp-train"), svg = train && train.closest("svg");
-      if (train) {
-        const along = +svg.dataset.scale * last.position_m, box = svg.parentElement.closest(".mp-strip");
-        train.style.transform = `translateX(${along.toFixed(2)}px)`;
-        if (box.scrollWidth > box.clientWidth) box.scrollLeft = ((+svg.dataset.x0 + along) / 1000) * box.scrollWidth - box.clientWidth / 2;
-      }
+      this.moments.show(this.now, last, this.kept[this.kept.length - 2]);
       const slider = this.part("slider");
       if (slider && this.share === null) slider.value = last.wanted;
+      if (this.held) return;
       this.draw((Plotly, el) => {
         const fresh = this.kept.slice(this.drawn);
         this.drawn = this.kept.length;
@@ -156,10 +167,20 @@
     }
   }
 
-  let view = null;
+  let view = null, past = null;
   window.metropilot = {
+    // The moments of a run that was over before the page was opened.
+    past(rootId, chart, scene) {
+      const rows = scene.rows.map((values) => Object.fromEntries(scene.columns.map((name, k) => [name, values[k]])));
+      past = new MetropilotMoments(document.getElementById(rootId), chart);
+      past.set("scheduled", scene.scheduled_time_s.toFixed(0), "s");
+      past.offer(scene, rows);
+    },
+    // Another picture takes the place of the run's.
+    forget() { for (const moments of [past, view && view.over && view.moments]) if (moments) moments.close(); past = null; },
     live(rootId, id, chart) {
       if (view) view.close();
+      this.forget();
       const root = document.getElementById(rootId);
       root.dataset.run = id; root.dataset.status = "running"; root.dataset.position = 0; root.dataset.time = 0;
       const list = root.querySelector('[data-mp="log"]');
@@ -169,6 +190,11 @@
       history.replaceState(null, "", `/?run=${id}`);
       view.set("status", metropilotSay("under way"));
       view.shown();
+    },
+    draft(place) { if (view && !view.over) view.propose(place); },
+    drag(rootId, chart, changes) {
+      const place = metropilotDragged(document.getElementById("c" + chart), changes || {});
+      if (place) document.getElementById(rootId).dispatchEvent(new CustomEvent("mp-restriction", { detail: place }));
     },
     hand() { if (view) view.share === null ? view.take(0, view.other !== null) : view.give(); },
     slide(value) { if (view && view.share !== null) view.take(+value); },

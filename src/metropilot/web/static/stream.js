@@ -1,18 +1,7 @@
 // What runs on the server, in the browser: numbers, news and a picture that follow its stream of events.
 (() => {
-  window.MetropilotStream = class {
-    constructor(root, id, chart) {
-      Object.assign(this, { root, id, chart, kept: [], drawn: 0, todo: [], waiting: false, over: false });
-      this.source = new EventSource(`/api/live/${id}/stream`);
-      for (const kind of ["place", "scene", "rows", "event", "result", "end"])
-        this.source.addEventListener(kind, (e) => this["on_" + kind](JSON.parse(e.data)));
-      this.source.addEventListener("error", (e) => {
-        if (e.data) this.say("", metropilotRetell(JSON.parse(e.data).error.message));
-        else if (this.source.readyState === EventSource.CLOSED && !this.over) this.set("status", metropilotSay("the server does not answer; reload the page"));
-      });
-    }
-
-    close() { this.source.close(); this.over = this.closed = true; this.todo = []; }
+  window.MetropilotPicture = class {
+    constructor(root, chart) { Object.assign(this, { root, chart, todo: [] }); }
 
     part(name) { return this.root.querySelector(`[data-mp="${name}"]`); }
 
@@ -21,13 +10,6 @@
       if (!part) return;
       part.textContent = text;
       if (unit) { const small = document.createElement("small"); small.textContent = ` ${unit}`; part.append(small); }
-    }
-
-    say(when, words) {
-      const item = document.createElement("li"), time = document.createElement("b");
-      time.textContent = when;
-      item.append(time, words);
-      this.part("log").prepend(item);
     }
 
     // What is to be drawn is drawn in order, once the picture is there: the emptying first, not over what was drawn.
@@ -42,6 +24,29 @@
       if (!el || !component || !component.Plotly || !el.data) { setTimeout(() => this.drawAll(), 60); return; }
       for (const use of this.todo.splice(0)) use(component.Plotly, el);
     }
+  };
+
+  window.MetropilotStream = class extends MetropilotPicture {
+    constructor(root, id, chart) {
+      super(root, chart);
+      Object.assign(this, { id, kept: [], drawn: 0, waiting: false, over: false });
+      this.source = new EventSource(`/api/live/${id}/stream`);
+      for (const kind of ["place", "scene", "rows", "event", "result", "end"])
+        this.source.addEventListener(kind, (e) => this["on_" + kind](JSON.parse(e.data)));
+      this.source.addEventListener("error", (e) => {
+        if (e.data) this.say("", metropilotRetell(JSON.parse(e.data).error.message));
+        else if (this.source.readyState === EventSource.CLOSED && !this.over) this.set("status", metropilotSay("the server does not answer; reload the page"));
+      });
+    }
+
+    close() { this.source.close(); this.over = this.closed = true; this.todo = []; }
+
+    say(when, words) {
+      const item = document.createElement("li"), time = document.createElement("b");
+      time.textContent = when;
+      item.append(time, words);
+      this.part("log").prepend(item);
+    }
 
     // While the server drives as many as it can, a run waits in a queue.
     on_place(said) { this.root.dataset.status = "queued"; this.set("status", metropilotSay("waiting: place {place} in the queue; it starts by itself", { place: said.place })); }
@@ -55,13 +60,16 @@
     on_rows(said, every) {
       this.kept.push(...said.rows.map((values) => Object.fromEntries(this.now.columns.map((name, k) => [name, values[k]]))));
       this.root.dataset.behind = said.behind_s;
-      this.set("pace", said.pace === 0 ? metropilotSay("waiting") : `${said.pace}×`);
-      if (!this.waiting) { this.waiting = true; setTimeout(() => { this.waiting = false; if (this.kept.length && !this.closed) this.update(this.kept[this.kept.length - 1]); }, every); }
+      this.set("pace", said.pace === 0 ? metropilotSay("paused") : `${said.pace}×`);
+      if (!this.waiting) { this.waiting = true; setTimeout(() => { this.waiting = false; if (!this.over) this.newest(); }, every); }
     }
+
+    newest() { if (this.kept.length) this.update(this.kept[this.kept.length - 1]); }
 
     on_event(said) { this.say(`${said.time_s.toFixed(1)} s`, metropilotRetell(said.words)); }
 
     on_end(said, words) {
+      this.newest();
       this.source.close(); this.over = true;
       this.root.dataset.status = said.status;
       this.set("status", {

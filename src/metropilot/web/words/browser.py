@@ -9,7 +9,10 @@ from metropilot.web.words.said import AND, JOINTS, NUMBER, NUMBERS, SENTENCES, W
 
 SCRIPTS = (
     N_("under way"),
-    N_("waiting"),
+    N_("paused"),
+    N_("not sent yet"),
+    N_("Pause (space)"),
+    N_("Go on (space)"),
     N_("watching"),
     N_("silent"),
     N_("coast"),
@@ -18,6 +21,10 @@ SCRIPTS = (
     N_("of {count}"),
     N_("{delay} s, {loss} % lost"),
     N_("all stopped"),
+    N_(
+        "{time} s, {position} m, {speed} km/h, permitted {permitted} km/h, {command}, {power} kW, "
+        "{energy} kWh, protection: {level}"
+    ),
     N_("at its end"),
     N_("arrived at its end"),
     N_("ended: {outcome}"),

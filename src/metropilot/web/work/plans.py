@@ -7,7 +7,7 @@ import os
 import signal
 from collections.abc import Iterable
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from multiprocessing import parent_process
 from multiprocessing.connection import wait
@@ -19,7 +19,7 @@ import numpy as np
 
 from metropilot._processes import ONE_THREAD
 from metropilot.errors import Infeasible, InputError
-from metropilot.evaluate import POLICY, RunSpec, traction_work_j
+from metropilot.evaluate import POLICY, RunSpec, attainable_of, driving_limits, traction_work_j
 from metropilot.operation import LineOperation, OperationOptions
 from metropilot.physics import (
     brake_available_n,
@@ -41,6 +41,7 @@ from metropilot.planning import (
 )
 from metropilot.policy import load_driving_policy
 from metropilot.railway import Line, Section, Station, Steps, Trainset, import_file, load_line, load_trainset
+from metropilot.sim import Disturbance
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -156,7 +157,29 @@ def plan_of(request: RunSpec) -> dict[str, Any]:
     time_s = request.time_s or section.planned_time_s or fastest * 1.1
     check_running_time(time_s, fastest)
     options = PlanOptions(objective=request.objective)
-    return plan_out(optimal_plan(section, trainset, max(time_s, fastest * BARELY), options), fastest)
+    made = plan_out(optimal_plan(section, trainset, max(time_s, fastest * BARELY), options), fastest)
+    return made | {"plant": plant_plan_of(replace(request, time_s=max(time_s, fastest * BARELY)))}
+
+
+def plant_plan_of(request: RunSpec) -> dict[str, Any] | None:
+    """Plan that the true plant can attain in the running time, with its actuation under protection.
+
+    Returns:
+        The plan; None without a disturbance, and where the true plant cannot keep the time.
+    """
+    if replace(request.disturbance, updates=()) == Disturbance():
+        return None
+    run = request.run()
+    plant = run.disturbance.true_plant(run.trainset)
+    options = PlanOptions(objective=request.objective)
+    try:
+        fastest = minimum_running_time(run.section, plant)
+        ideal = optimal_plan(run.section, plant, run.scheduled_time_s, options)
+    except Infeasible:
+        return None
+    limits = driving_limits(run, run.section)
+    found = attainable_of(run.section, plant, run.scheduled_time_s, limits, ideal, request.objective)
+    return None if found is None else plan_out(found.plan, fastest)
 
 
 def plan_out(plan: Plan, fastest_s: float) -> dict[str, Any]:

@@ -1,0 +1,151 @@
+"""Rows of the tables of a run in the language of the answer, for pages and reports."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from metropilot.units import J_PER_KWH, KMH_PER_MPS
+from metropilot.web.words.language import _
+from metropilot.web.words.said import retell
+
+
+def number(value: float | None, digits: int = 2, unit: str = "") -> str:
+    """Format a number with its unit; a dash for None."""
+    if value is None:
+        return "–"
+    return f"{value:.{digits}f}".replace("-", "−") + (f" {unit}" if unit else "")
+
+
+def check_rows(checks: list[dict[str, Any]]) -> list[tuple[str, str, str, bool]]:
+    """Requirements: name, measured, allowed, whether it is met."""
+    return [(retell(c["name"]), retell(c["value"]), retell(c["wanted"]), c["passed"]) for c in checks]
+
+
+def kpi_rows(k: dict[str, Any]) -> tuple[tuple[str, str, str], ...]:
+    """Main KPIs: name, value, remark."""
+    wheel = k["energy_objective"] == "wheel"
+    return (
+        (
+            _("running time"),
+            number(k["running_time_s"], 1, "s"),
+            _("scheduled {time} s", time=f"{k['scheduled_time_s']:g}"),
+        ),
+        (_("energy at the wheel"), number(k["energy_wheel_kwh"], 2, "kWh"), _("traction")),
+        (
+            _("energy at the line"),
+            number(k["energy_line_kwh"], 2, "kWh"),
+            _("net of {energy} kWh recovered", energy=f"{k['energy_regenerated_kwh']:.2f}"),
+        ),
+        (
+            _("optimum at the wheel") if wheel else _("optimum at the line"),
+            number(k["optimal_energy_kwh"], 2, "kWh"),
+            _("for the time achieved"),
+        ),
+        (_("above the optimum"), number(k["optimality_gap_percent"], 2, "%"), ""),
+        (
+            _("attainable"),
+            number(k.get("attainable_energy_kwh"), 2, "kWh"),
+            _("with jerk limit, dead time, lag and protection"),
+        ),
+        (_("lost by the trainset"), number(k.get("trainset_gap_percent"), 2, "%"), ""),
+        (_("lost by the driver"), number(k.get("driver_gap_percent"), 2, "%"), ""),
+        (_("highest speed"), number(KMH_PER_MPS * k["max_speed_mps"], 1, "km/h"), ""),
+        (_("largest jerk"), number(k["max_jerk_mps3"], 2, "m/s³"), retell(k["comfort_band"])),
+        (
+            _("coasting"),
+            number(k["coasting_distance_m"], 0, "m"),
+            _("{count} changes of regime", count=k["regime_switches"]),
+        ),
+        (_("decision time"), number(k["decision_time_us_median"], 0, "µs"), _("median")),
+    )
+
+
+def regime_columns() -> tuple[str, ...]:
+    """Headings of :func:`regime_rows`."""
+    return (
+        _("regime"),
+        _("place (m)"),
+        _("time (s)"),
+        _("mostly bound by"),
+        _("energy (kWh)"),
+        _("trainset"),
+        _("driver"),
+    )
+
+
+def regime_rows(told: dict[str, Any]) -> list[tuple[str, ...]]:
+    """Regimes of a drive: where, when, what bound it, energy and its loss to trainset and driver."""
+    return [
+        (
+            retell(span["regime"]),
+            f"{span['from_m']:.0f} – {span['to_m']:.0f}",
+            f"{span['from_s']:.1f} – {span['to_s']:.1f}",
+            retell(span["bound"]),
+            number(span["energy_wheel_j"] / J_PER_KWH, 2),
+            *(
+                number(None if span[name] is None else span[name] / J_PER_KWH, 3)
+                for name in ("trainset_loss_j", "driver_loss_j")
+            ),
+        )
+        for span in told["regimes"]
+    ]
+
+
+def hit_columns() -> tuple[str, ...]:
+    """Headings of :func:`hit_rows`."""
+    return (
+        _("guard"),
+        _("place (m)"),
+        _("time (s)"),
+        _("speed (km/h)"),
+        _("permitted"),
+        _("falls until (m)"),
+    )
+
+
+def hit_rows(told: dict[str, Any]) -> list[tuple[str, ...]]:
+    """Interventions of protection."""
+    return [
+        (
+            retell(hit["guard"]),
+            f"{hit['from_m']:.0f} – {hit['to_m']:.0f}",
+            f"{hit['from_s']:.1f} – {hit['to_s']:.1f}",
+            number(KMH_PER_MPS * hit["speed_mps"], 1),
+            number(KMH_PER_MPS * hit["permitted_mps"], 1),
+            number(hit["ahead_m"], 0),
+        )
+        for hit in told["interventions"]
+    ]
+
+
+def explain_words(told: dict[str, Any], kpis: dict[str, Any]) -> str:
+    """Sum up what bound a drive, and where the driver lost most."""
+    whole = sum(span["to_s"] - span["from_s"] for span in told["bounds"])
+    times: dict[str, float] = {}
+    for span in told["bounds"]:
+        times[span["bound"]] = times.get(span["bound"], 0.0) + span["to_s"] - span["from_s"]
+    parts = [
+        f"{retell(words)} {100 * time_s / whole:.0f} %"
+        for words, time_s in sorted(times.items(), key=lambda item: -item[1])
+        if time_s >= 0.005 * whole > 0
+    ]
+    said = [_("Bound by {parts} of the time.", parts=", ".join(parts))]
+    lost = [span for span in told["regimes"] if span["driver_loss_j"] is not None]
+    if lost and kpis["optimal_energy_kwh"] is not None:
+        worst = max(lost, key=lambda span: span["driver_loss_j"])
+        said.append(
+            _(
+                "Above the optimum: {trainset} % trainset, {driver} % driver, most of it in {regime} from "
+                "{begin} to {end} m.",
+                trainset=f"{kpis['trainset_gap_percent']:.1f}",
+                driver=f"{kpis['driver_gap_percent']:.1f}",
+                regime=retell(worst["regime"]),
+                begin=f"{worst['from_m']:.0f}",
+                end=f"{worst['to_m']:.0f}",
+            )
+        )
+    count = len(told["interventions"])
+    said.append(
+        _("Protection stepped in {count} times.", count=count) if count else _("Protection never stepped in.")
+    )
+    return " ".join(said)

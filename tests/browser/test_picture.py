@@ -1,0 +1,246 @@
+"""Work on the picture of a run: its moments, pause and step, copies, restrictions that are dragged."""
+
+import csv
+import struct
+import xml.etree.ElementTree as ET
+from pathlib import Path
+
+import pytest
+from playwright.sync_api import expect
+from tests.browser.test_drive import PATIENCE_MS, depart, number
+
+ROOT = Path(__file__).parents[2]
+SECTION = {"line": "yizhuang", "origin": "RJ", "destination": "WYJ", "time_s": 101}
+SIZES = [(1440, 900), (390, 844)]
+PLOT = "document.querySelector('[data-test=live] .js-plotly-plot')"
+CURSORS = """[...document.querySelectorAll('.mp-along.js-plotly-plot')].map(
+    el => (el.layout.shapes || []).filter(s => s.name === 'moment').map(s => s.x0))"""
+
+
+@pytest.fixture(scope="module")
+def driven(server):
+    """Drive that is over."""
+    job = server.post("/api/jobs/drive", {**SECTION, "driver": "manual"}, code=202)["id"]
+    server.wait(job)
+    return job
+
+
+@pytest.mark.parametrize(("width", "height"), SIZES)
+def test_a_finished_run_is_scrubbed(visit, server, driven, width, height):
+    columns = server.get(f"/api/jobs/{driven}/drive")["columns"]
+    page = visit(f"/?run={driven}", width=width, height=height)
+    slider = page.get_by_role("slider", name="Moment")
+    expect(slider).to_be_visible()
+    expect(page.locator('[data-test="explanation"]')).to_be_visible()
+    rows = len(columns["time_s"])
+    expect(slider).to_have_attribute("max", str(rows - 1))
+    assert number(page, "time") == pytest.approx(columns["time_s"][-1], abs=0.06)
+    slider.focus()
+    page.keyboard.press("Home")
+    for _ in range(5):
+        page.keyboard.press("ArrowRight")
+    expect(page.locator('[data-mp="time"]')).to_contain_text(f"{columns['time_s'][5]:.1f}")
+    slider.fill(str(rows // 2))
+    speed, place = 3.6 * columns["speed_mps"][rows // 2], columns["position_m"][rows // 2]
+    expect(page.locator('[data-mp="speed"]')).to_contain_text(f"{speed:.1f}")
+    expect(page.locator('[data-mp="place"]')).to_contain_text(f"{place:.0f} m")
+    told = slider.get_attribute("aria-valuetext")
+    assert f"{place:.0f} m, {speed:.1f} km/h, permitted" in told
+    assert told.endswith("kWh, protection: watching")
+    page.wait_for_function(f"{CURSORS}.every(at => at.length === 1 && Math.abs(at[0] - {place}) < 0.01)")
+    assert len(page.evaluate(CURSORS)) == 2
+    scale = float(page.locator(".mp-strip svg[data-scale]").first.get_attribute("data-scale"))
+    moved = page.locator(".mp-train").get_attribute("style")
+    assert f"translateX({scale * place:.2f}px)" in moved
+
+
+def test_the_pointer_chooses_the_moment(visit, driven):
+    page = visit(f"/?run={driven}", width=1440)
+    expect(page.get_by_role("slider", name="Moment")).to_be_visible()
+    expect(page.locator('[data-test="explanation"] .ylines-above').first).to_be_attached()
+    across = """name => { const el = document.querySelector(name), a = el._fullLayout.xaxis;
+        const box = el.getBoundingClientRect();
+        return [box.left + a._offset + a.d2p(600), box.top + 120]; }"""
+    for name in ("[data-test=live] .js-plotly-plot", "[data-test=explanation]"):
+        page.locator(name).scroll_into_view_if_needed()
+        page.mouse.move(5, 5)
+        page.mouse.move(*page.evaluate(across, name))
+        page.wait_for_function(f"{CURSORS}.every(at => Math.abs(at[0] - 600) < 8)")
+        assert number(page, "distance") == pytest.approx(1280 - 600, abs=30)
+        page.get_by_role("slider", name="Moment").fill("3")
+        page.wait_for_function(f"{CURSORS}.every(at => at[0] < 50)")
+
+
+def test_a_live_run_that_is_over_is_scrubbed_until_the_form_changes(visit):
+    page = visit("/")
+    live = depart(page, "30 ×")
+    expect(live).to_have_attribute("data-status", "done", timeout=PATIENCE_MS)
+    slider = page.get_by_role("slider", name="Moment")
+    expect(slider).to_be_visible()
+    slider.fill("100")
+    page.wait_for_function("Number(document.querySelector('[data-test=live]').dataset.time) < 40")
+    assert 0 < (number(page, "speed") or 0) < 90
+    page.locator('[data-test="time"] [tabindex="0"]').focus()
+    page.keyboard.press("ArrowRight")
+    expect(slider).to_be_hidden()
+    page.wait_for_function(f"!({PLOT}.layout.shapes || []).some(s => s.name === 'moment')")
+
+
+@pytest.mark.parametrize(("width", "height"), SIZES)
+def test_a_run_is_paused_and_stepped(visit, width, height):
+    page = visit("/", width=width, height=height)
+    expect(page.locator('[data-mp="pause"]')).to_be_hidden()
+    live = depart(page, "5 ×")
+    pause = page.locator('[data-mp="pause"]')
+    page.evaluate("document.activeElement.blur()")
+    page.keyboard.press("Space")
+    expect(pause).to_have_text("Go on (space)")
+    expect(page.locator('[data-mp="pace"]')).to_have_text("paused")
+    page.wait_for_timeout(300)
+    at = float(live.get_attribute("data-time"))
+    for k in range(1, 4):
+        page.get_by_role("button", name="Step 1 s").click()
+        page.wait_for_function(
+            f"Math.abs(document.querySelector('[data-test=live]').dataset.time - {at + k}) < 1e-3"
+        )
+    page.wait_for_timeout(500)
+    assert float(live.get_attribute("data-time")) == pytest.approx(at + 3, abs=1e-3)
+    pause.click()
+    expect(pause).to_have_text("Pause (space)")
+    page.wait_for_function(f"document.querySelector('[data-test=live]').dataset.time > {at + 4}")
+    page.locator('[data-test="stop"]').click()
+    expect(pause).to_be_hidden()
+
+
+def taken(page, plot, kind):
+    """File that a button of a plot gives."""
+    with page.expect_download() as download:
+        page.get_by_role("button", name=kind, exact=True).nth(plot).click()
+    return Path(download.value.path()), download.value.suggested_filename
+
+
+@pytest.mark.parametrize(("width", "height"), SIZES)
+def test_a_plot_is_taken_as_svg_png_and_csv(visit, server, driven, width, height):
+    columns = server.get(f"/api/jobs/{driven}/drive")["columns"]
+    page = visit(f"/?run={driven}", width=width, height=height)
+    expect(page.locator('[data-test="explanation"] .ylines-above').first).to_be_attached()
+    path, name = taken(page, 0, "Values of the plot as CSV")
+    assert name == "metropilot-drive-1.csv"
+    with path.open(encoding="utf-8-sig", newline="") as file:
+        head, *rows = csv.reader(file)
+    speed = head.index("driven: speed (km/h)")
+    assert head[speed - 1] == "driven: distance (m)"
+    assert "energy at the wheel: energy (kWh)" in head
+    assert "command: command" in head
+    values = [(float(row[speed - 1]), float(row[speed])) for row in rows if row[speed]]
+    assert [x for x, _ in values] == pytest.approx(columns["position_m"])
+    assert [y for _, y in values] == pytest.approx([3.6 * v for v in columns["speed_mps"]], abs=1e-3)
+    path, name = taken(page, 0, "Plot as SVG")
+    assert name == "metropilot-drive-1.svg"
+    drawn = ET.fromstring(path.read_text(encoding="utf-8"))
+    texts = ["".join(each.itertext()) for each in drawn.iter() if each.tag.endswith("}text")]
+    assert {"distance (m)", "speed (km/h)", "energy (kWh)"} <= set(texts)
+    path, name = taken(page, 1, "Plot as PNG")
+    assert name == "metropilot-drive-2.png"
+    content = path.read_bytes()
+    assert content[:8] == b"\x89PNG\r\n\x1a\n"
+    shown = page.locator('[data-test="explanation"]').bounding_box()
+    assert struct.unpack(">II", content[16:24]) == pytest.approx(
+        (2 * shown["width"], 2 * shown["height"]), abs=2
+    )
+
+
+def test_every_plot_is_placed_with_its_buttons():
+    pages = ROOT / "src" / "metropilot" / "web" / "pages"
+    direct = {path.name for path in pages.glob("*.py") if "ui.plotly(" in path.read_text(encoding="utf-8")}
+    assert direct == {"frame.py"}
+
+
+def test_a_report_is_taken_from_the_page(visit, driven):
+    page = visit(f"/?run={driven}", width=390, height=844)
+    link = page.locator('[data-test="result"]').get_by_role("link", name="report.pdf")
+    expect(link).to_be_visible()
+    answer = page.request.get(link.evaluate("at => at.href"))
+    assert answer.headers["content-type"] == "application/pdf"
+    assert answer.body().startswith(b"%PDF-")
+
+
+SPOT = """([x, y]) => { const el = document.querySelector('[data-test=live] .js-plotly-plot');
+    const f = el._fullLayout;
+    el.scrollIntoView({ block: 'center' });
+    const box = el.getBoundingClientRect();
+    return [box.left + f.xaxis._offset + f.xaxis.d2p(x), box.top + f.yaxis._offset + f.yaxis.d2p(y)]; }"""
+
+
+def drag(page, begin, end):
+    """Drag from one point of the speed plot, m and km/h, to another."""
+    page.mouse.move(*page.evaluate(SPOT, begin))
+    page.mouse.down()
+    spot = page.evaluate(SPOT, end)
+    page.mouse.move(*spot, steps=6)
+    page.mouse.up()
+
+
+@pytest.mark.parametrize(("width", "height"), SIZES)
+def test_a_restriction_is_dragged_before_departure(visit, width, height):
+    page = visit("/", width=width, height=height)
+    expect(page.get_by_text("minimum 83.3 s")).to_be_visible(timeout=PATIENCE_MS)
+    page.get_by_text("Speed restrictions", exact=True).click()
+    page.get_by_role("button", name="Add a restriction").click()
+    rows = page.locator('[data-test="restrictions"]')
+    expect(rows.get_by_label("From (m)")).to_have_value("500")
+    page.wait_for_function(f"{PLOT}.layout.shapes?.length === 1")
+    drag(page, [550, 60], [752, 60])
+    expect(rows.get_by_label("From (m)")).to_have_value("700")
+    expect(rows.get_by_label("To (m)")).to_have_value("800")
+    expect(rows.get_by_label("Speed (km/h)")).to_have_value("40")
+    page.wait_for_function(f"{PLOT}.layout.shapes[0].x0 === 700 && {PLOT}.layout.shapes[0].x1 === 800")
+    drag(page, [750, 40], [750, 31])
+    expect(rows.get_by_label("Speed (km/h)")).to_have_value("30")
+    expect(rows.get_by_label("From (m)")).to_have_value("700")
+
+
+def test_a_restriction_is_dragged_on_the_way(visit):
+    page = visit("/", width=1440)
+    live = depart(page, "real time")
+    page.get_by_label("From (m)").fill("700")
+    page.get_by_label("To (m)").fill("900")
+    page.wait_for_function(f"({PLOT}.layout.shapes || []).some(s => s.name === 'draft' && s.x1 === 900)")
+    drag(page, [800, 60], [901, 50])
+    expect(page.get_by_label("From (m)")).to_have_value("800")
+    expect(page.get_by_label("To (m)")).to_have_value("1000")
+    expect(page.get_by_label("Speed (km/h)")).to_have_value("30")
+    page.locator('[data-test="restrict"]').click()
+    expect(page.locator('[data-mp="log"]')).to_contain_text("30 km/h from 800 to 1000 m")
+    expect(page.locator(".mp-restrictions rect")).to_have_count(1)
+    at = float(live.get_attribute("data-time") or 0)
+    page.wait_for_function(f"document.querySelector('[data-test=live]').dataset.time > {at + 0.5}")
+    page.locator('[data-test="stop"]').click()
+
+
+@pytest.mark.parametrize(("width", "height"), SIZES)
+def test_the_plan_follows_the_true_plant(visit, width, height):
+    page = visit("/", width=width, height=height)
+    expect(page.get_by_text("minimum 83.3 s")).to_be_visible(timeout=PATIENCE_MS)
+    page.get_by_text("Disturbances", exact=True).click()
+    field = page.get_by_label("True mass / nominal", exact=True).and_(page.get_by_role("spinbutton"))
+    field.fill("1.2")
+    plant = f"{PLOT}.data.find(t => t.name === 'plan of the true plant')"
+    page.wait_for_function(f"{plant}.x.length > 50")
+    words = page.locator('[data-test="plant"]')
+    expect(words).to_contain_text("at best")
+    heavy = words.inner_text()
+    delay = page.get_by_label("Additional dead time (s)", exact=True)
+    slider = page.locator('.q-slider[aria-label="Additional dead time"]')
+    slider.locator('[tabindex="0"]').focus()
+    for value in ("0.05", "0.1"):
+        page.keyboard.press("ArrowRight")
+        expect(delay).to_have_value(value)
+    page.wait_for_timeout(500)  # what the slider has sent meanwhile is behind
+    delay.fill("0.4")
+    expect(slider).to_have_attribute("aria-valuenow", "0.4")
+    expect(words).not_to_have_text(heavy)
+    delay.fill("0")
+    field.fill("1")
+    expect(words).to_have_text("")
+    page.wait_for_function(f"{plant}.x.length === 0")
