@@ -13,9 +13,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from client.metropilot_client import ApiError, Client, CompareIn, DriveIn, PlanIn
+from client.metropilot_client import ApiError, Client, CompareIn, DriveIn, PlantPlanIn
 
-PLAN: PlanIn = {"line": "yizhuang", "origin": "RJ", "destination": "WYJ", "time_s": 101.0}
+PLAN: PlantPlanIn = {"line": "yizhuang", "origin": "RJ", "destination": "WYJ", "time_s": 101.0}
 
 
 @contextmanager
