@@ -90,18 +90,18 @@ def test_a_cell_is_read_alike():
     assert split_list("30,5; 40") == ["30,5", "40"]
 
 
-def typed(text):
+def enter(text):
     return GenericEventArguments(sender=None, client=None, args=text)
 
 
 def test_a_field_says_at_once_what_is_wrong_and_no_request_takes_it():
     field = NumberField.__new__(NumberField)
     for text, value in (("1,1", 1.1), ("1,100", math.nan), ("", None)):
-        found = field._event_args_to_value(typed(text))
+        found = field._event_args_to_value(enter(text))
         assert found == value or (math.isnan(found) and math.isnan(value))
         said = field.refusal(found)
         assert (said is not None) == (text == "1,100")
-    field._event_args_to_value(typed("1,100"))
+    field._event_args_to_value(enter("1,100"))
     assert field.refusal(math.nan) == "thousands or decimals (allowed: 1100 or 1.100)"
     with answer_in("zh"):
         assert field.refusal(math.nan) == "是千位分隔还是小数（允许：1100 或 1.100）"

@@ -100,7 +100,7 @@ def rows(kpis: Kpis) -> list[tuple[str, str, str]]:
     least = kpis.minimum_running_time_s
     fastest = number(None if least is None else round_up_time(least), 2, "s")
     protected = kpis.protected_running_time_s
-    if protected is not None and kpis.time_error_s > 0.0 and protected > kpis.scheduled_time_s:
+    if protected is not None and protected > kpis.scheduled_time_s:
         fastest += f", under protection {number(round_up_time(protected), 2, 's')}"
     return [
         (

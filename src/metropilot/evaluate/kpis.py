@@ -105,7 +105,7 @@ class Kpis:
         time_error_s: Running time minus scheduled time; positive is late.
         minimum_running_time_s: Flat-out running time under the same limits.
         protected_running_time_s: The same under protection's permitted speed, with the deceleration that it
-            leaves: no drive under protection takes less.
+            leaves: no drive that keeps the permitted speed takes less.
         stopping_error_m: Final position of the head minus the stop; positive is beyond it (Huang25 eq. 12).
         energy_wheel_kwh: Mechanical traction energy at the wheel.
         energy_regenerated_kwh: Energy the line took back.

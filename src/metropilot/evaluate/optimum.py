@@ -38,7 +38,7 @@ class Optimum(NamedTuple):
         attainable: The plan that knows jerk limit, dead time, lag and permitted speed; None if the run did
             not arrive, or the actuation does not allow its running time.
         protected_time_s: Least running time under protection (:func:`protected_running_time`); None where
-            it was not asked for.
+            there is none, or it was not asked for.
     """
 
     plan: Plan
@@ -79,22 +79,27 @@ def driving_limits(run: Run, section: Section) -> DrivingLimits:
     return DrivingLimits(at, permitted_speed(guard, at), float(guard.rates.speed_error_mps), usable, run.dt)
 
 
-def protected_running_time(drive: Drive) -> float:
+def protected_running_time(section: Section, trainset: Trainset, limits: DrivingLimits) -> float | None:
     """Least running time under the permitted speed, with the deceleration that protection leaves, s.
 
-    No drive under protection takes less; dead time, lag and jerk limit are not in it.
+    No drive that keeps the permitted speed takes less; dead time, lag and jerk limit are not in it.
 
     Args:
-        drive: The drive, for its true plant and its section with every restriction announced.
+        section: The section with every restriction announced.
+        trainset: True plant.
+        limits: Permitted speed and deceleration.
 
-    Raises:
-        Infeasible: The trainset cannot cover the section.
+    Returns:
+        None where the trainset cannot cover the section so.
     """
-    limits, vehicle = driving_limits(drive.run, drive.section), vehicle_arrays(drive.trainset)
+    vehicle = vehicle_arrays(trainset)
     most = min(float(vehicle.max_deceleration_mps2), limits.deceleration_mps2)
     options = PlanOptions(cap_m=limits.position_m, cap_mps=limits.permitted_mps)
     vehicle = vehicle._replace(max_deceleration_mps2=np.float64(most))
-    return fastest_time(vehicle, track_arrays(drive.section, drive.trainset), options)
+    try:
+        return fastest_time(vehicle, track_arrays(section, trainset), options)
+    except Infeasible:
+        return None
 
 
 def optimum_of(drive: Drive, objective: Objective = "wheel") -> Optimum | None:
@@ -118,10 +123,10 @@ def optimum_of(drive: Drive, objective: Objective = "wheel") -> Optimum | None:
         plan = optimal_plan(drive.section, drive.trainset, wanted, options)
     except Infeasible:
         return None
-    least = protected_running_time(drive)
+    limits = driving_limits(drive.run, drive.section)
+    least = protected_running_time(drive.section, drive.trainset, limits)
     if not arrived:
         return Optimum(plan, fastest, protected_time_s=least)
-    limits = driving_limits(drive.run, drive.section)
     found = attainable_of(drive.section, drive.trainset, wanted, limits, plan, objective)
     return Optimum(plan, fastest, found, least)
 

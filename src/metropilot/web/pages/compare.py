@@ -186,7 +186,7 @@ class ComparePage:
     async def start(self) -> None:
         """Queue the comparison."""
         with self.form.problem.show_errors():
-            await self.form.chosen()
+            await self.form.wait_for_section()
             values = {**self.form.kept, **self.form.values(), **self.disturbances.values()}
             drivers = list(self.drivers.value or [])
             values |= {"drivers": drivers, "seeds": self.seeds.value, "driver": (drivers or ["optimal"])[0]}

@@ -217,7 +217,7 @@ class ConvoyPage:
     async def depart(self) -> None:
         """Start a convoy and watch it."""
         with self.form.problem.show_errors():
-            await self.form.chosen()
+            await self.form.wait_for_section()
             body = validate(
                 ConvoyIn,
                 {

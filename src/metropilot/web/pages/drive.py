@@ -350,7 +350,7 @@ class DrivePage:
     async def depart(self) -> None:
         """Start a live run and watch it."""
         with self.departure.show_errors():
-            section = await self.form.chosen()
+            section = await self.form.wait_for_section()
             values = {**self.form.kept, **self.form.values(), **self.disturbances.values()}
             values |= {"driver": self.driver.value, "pace": float(self.pace.value)}
             values |= {"options": self.driver_options.values()}

@@ -344,7 +344,7 @@ class SectionForm:
         finally:
             self._filling = False
 
-    async def chosen(self) -> dict[str, Any]:
+    async def wait_for_section(self) -> dict[str, Any]:
         """Wait until the section of the fields is there: a press of a button may come before it.
 
         Raises:

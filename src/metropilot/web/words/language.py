@@ -65,10 +65,10 @@ def language_of(headers: Headers) -> str:
         chosen = None
     if chosen is not None and chosen.value in LANGUAGES:
         return chosen.value
-    return _accepted(headers.get("accept-language", ""))
+    return _choose_accepted(headers.get("accept-language", ""))
 
 
-def _accepted(text: str) -> str:
+def _choose_accepted(text: str) -> str:
     """Best language of an Accept-Language header that there is; English if none is."""
     best, weight = ENGLISH, 0.0
     for part in text.split(","):

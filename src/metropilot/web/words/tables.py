@@ -23,13 +23,12 @@ def check_rows(checks: list[dict[str, Any]]) -> list[tuple[str, str, str, bool]]
 
 def kpi_rows(k: dict[str, Any]) -> tuple[tuple[str, str, str], ...]:
     """Main KPIs: name, value, remark."""
-    wheel = k["energy_objective"] == "wheel"
+    wheel, scheduled = k["energy_objective"] == "wheel", f"{k['scheduled_time_s']:g}"
+    timetable, least = _("scheduled {time} s", time=scheduled), k.get("protected_running_time_s")
+    if least is not None and least > k["scheduled_time_s"]:
+        timetable = _("scheduled {time} s, under protection {least} s", time=scheduled, least=f"{least:.2f}")
     return (
-        (
-            _("running time"),
-            number(k["running_time_s"], 1, "s"),
-            _("scheduled {time} s", time=f"{k['scheduled_time_s']:g}"),
-        ),
+        (_("running time"), number(k["running_time_s"], 1, "s"), timetable),
         (_("energy at the wheel"), number(k["energy_wheel_kwh"], 2, "kWh"), _("traction")),
         (
             _("energy at the line"),
