@@ -28,7 +28,7 @@ NAMES = """metropilot TOML JSON CSV SVG PNG PDF ZIP DuckDB TTOBench safetensors 
     python jax jaxlib numpy AMD EPYC budget paper as printed reproduce"""
 """Names, and words that are typed as they stand."""
 FILES = r"\S+\.(csv|json|svg|png|pdf|toml|zip|parquet|safetensors)\b"
-KEPT = re.compile(rf"{FILES}|\b\S*_\S*\b|\w+-\d\S*|/api/\S*|\b[0-9a-f]{{9}}\b")
+KEPT = re.compile(rf"{FILES}|\b\S*_\S*\b|\w+-\d\S*|\btab-[0-9a-f]{{4}}\b|/api/\S*|\b[0-9a-f]{{9}}\b")
 """Files, ids, addresses and commits."""
 
 

@@ -34,6 +34,9 @@ PLATFORM_KMH = (45.0, 50.0, 55.0, 60.0)
 WIDE = 1
 """Tag of the random numbers that decide on the wider samples; those of such a sample follow it."""
 WIDE_LENGTH_M, WIDE_USUAL_M = (200.0, 20_000.0), (200.0, 3200.0)
+LIMIT_SHARES, SLOWEST_KMH = (1.0, 1.0, 1.0, 0.85, 0.7, 0.55), 30.0
+WIDE_LIMIT_SHARES, WIDE_SLOWEST_KMH = (1.0, 1.0, 1.0, 0.85, 0.7, 0.5, 0.35, 0.2), 15.0
+"""Shares of a section's highest limit that its pieces have, and the lowest limit."""
 CLIMB_SHARE = 0.5
 """Share of a trainset's starting effort that a gradient drawn for it takes at most."""
 UNNAMED_SEED = 10**9
@@ -307,13 +310,13 @@ def draw_section(random: Generator) -> Section:
     length = float(np.exp(random.uniform(np.log(low), np.log(high))))
     gradients = _gradients(random, length)
     top = random.uniform(45.0, 120.0) if length > 2500.0 else random.uniform(40.0, 95.0)
-    return _section(random, length, gradients, top)
+    return _section(length, gradients, _limits(random, length, top))
 
 
 def draw_wide_sample(seed: int, number: int) -> DomainSample:
     """Draw a section of 0.2 to 20 km for a trainset as widely drawn as :func:`drawn_trainset` draws them.
 
-    Limits reach from 30 km/h to the trainset's largest speed; gradients are those on which it still gains
+    Limits reach from 15 km/h to the trainset's largest speed; gradients are those on which it still gains
     speed. Its seed is none that a name ``drawn-SEED-NUMBER`` can have: campaigns drive trainsets that nobody
     learned from.
     """
@@ -325,14 +328,14 @@ def draw_wide_sample(seed: int, number: int) -> DomainSample:
     start_mps2 = float(trainset.traction.at(0.0)) / trainset.effective_mass_kg
     gradients = _gradients(random, length, 1e3 * CLIMB_SHARE * start_mps2 / GRAVITY_MPS2)
     top = random.uniform(40.0, trainset.max_speed_mps * KMH_PER_MPS)
-    return DomainSample(_section(random, length, gradients, top), trainset)
+    limits = _limits(random, length, top, WIDE_LIMIT_SHARES, WIDE_SLOWEST_KMH)
+    return DomainSample(_section(length, gradients, limits), trainset)
 
 
 def _section(
-    random: Generator, length: float, gradients: tuple[np.ndarray, np.ndarray], top_kmh: float
+    length: float, gradients: tuple[np.ndarray, np.ndarray], limits: tuple[np.ndarray, np.ndarray]
 ) -> Section:
-    at, permil = gradients
-    limit_at, limit_mps = _limits(random, length, top_kmh)
+    (at, permil), (limit_at, limit_mps) = gradients, limits
     ends = Station("O", "Origin", 0.0), Station("D", "Destination", length)
     return Section("random", *ends, length, Steps(limit_at, limit_mps), Steps(at, permil))
 
@@ -361,11 +364,17 @@ def _gradients(
     return at, permil
 
 
-def _limits(random: Generator, length: float, top_kmh: float) -> tuple[np.ndarray, np.ndarray]:
+def _limits(
+    random: Generator,
+    length: float,
+    top_kmh: float,
+    shares: Sequence[float] = LIMIT_SHARES,
+    slowest_kmh: float = SLOWEST_KMH,
+) -> tuple[np.ndarray, np.ndarray]:
     """Positions and values of limits; half of the sections have a slower zone at a platform."""
     at = _breaks(random, -200.0, length + 200.0, 150.0, 1500.0)
-    share = random.choice([1.0, 1.0, 1.0, 0.85, 0.7, 0.55], size=at.size)
-    kmh = np.maximum(np.round(top_kmh * share), 30.0)
+    share = random.choice(shares, size=at.size)
+    kmh = np.maximum(np.round(top_kmh * share), slowest_kmh)
     pieces = dict(zip(at.tolist(), kmh.tolist(), strict=True))
     if random.random() < 0.5:
         zone = length - random.uniform(60.0, 180.0)
