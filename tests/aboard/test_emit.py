@@ -27,6 +27,8 @@ RUNS = np.repeat(np.array([0.1, -2.0, 0.3, np.inf, -0.0, 0.0]), 200)
 LINE = -3.0 + 0.5 * np.arange(1000)
 SUM = 128.0 - np.cumsum(np.where(np.arange(900) < 500, 0.1, 1 / 7))
 PACES = np.minimum(np.array([3.0, 5.0, 9.0]), 1.0 + 0.02 * np.arange(700)[:, None])
+HALVES = np.append(np.random.default_rng(2).normal(0.0, 1.0, 399), -0.0).astype(np.float32)
+HALVES = (HALVES.view(np.uint32) & 0xFFFF0000).view(np.float32).astype(np.float64)
 SUMS = 1000.0 - np.cumsum(2.0 / PACES, axis=0)
 
 
@@ -61,6 +63,9 @@ FUNCTIONS = {
     "table of runs": lambda x, i: jnp.asarray(RUNS)[jnp.arange(1200) + 0 * i],
     "table on a line": lambda x, i: jnp.asarray(LINE)[jnp.arange(1000) + 0 * i],
     "table of steps": lambda x, i: jnp.asarray(SUM)[jnp.arange(900) + 0 * i],
+    "table of halves": lambda x, i: (
+        jnp.asarray(HALVES)[jnp.arange(400) + 0 * i] + jnp.asarray(HALVES, jnp.float32)[jnp.arange(400) + i]
+    ),
     "row of steps": lambda x, i: jax.lax.dynamic_slice_in_dim(jnp.asarray(SUMS), 300 * i + 17, 1)[0],
     "entries of rows": lambda x, i: jnp.asarray(SUMS)[jnp.arange(700) + 0 * i, jnp.arange(700) % 3],
 }
@@ -71,6 +76,7 @@ EXACT = (
     "table of runs",
     "table on a line",
     "table of steps",
+    "table of halves",
     "row of steps",
     "entries of rows",
 )
@@ -132,6 +138,9 @@ def test_c_computes_what_jax_computes(shared_library, name, i):
         (LINE, None, 0.0),
         (SUM, "static const step_table t0 ", 0.3),
         (SUMS, "static const step_table t0 ", 0.5),
+        (HALVES, "static const uint16_t t0[400]", 0.25),
+        (HALVES.astype(np.float32), "static const uint16_t t0[400]", 0.5),
+        (np.append(HALVES[:-1], 1.0 + 2.0**-8).astype(np.float32), "static const float t0[400]", 1.0),
         (np.random.default_rng(1).random(300), "static const double t0[300]", 1.0),
     ],
 )

@@ -64,6 +64,15 @@ static int32_t run_of(const uint32_t *begins, const int16_t *runs, int32_t i)
     return runs[i / 32] + (int32_t)x;
 }
 
+/* a number in single precision by the upper half of its bits; the lower one is zero */
+static float single_of(uint16_t upper)
+{
+    const uint32_t bits = (uint32_t)upper << 16;
+    float value;
+    memcpy(&value, &bits, sizeof value);
+    return value;
+}
+
 /* a table in fixed point: in blocks of 2^bits rows, each entry by the change of its step from the row before;
  * columns of one table are read by rows, of a single column by entries */
 typedef struct {

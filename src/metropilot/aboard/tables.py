@@ -6,6 +6,7 @@ amount from node to node but for the rounding of a sum. Forms, besides the numbe
 * ``line``: whole steps from entry to entry, computed;
 * ``coded``: the distinct numbers, and for each entry which it is;
 * ``runs``: each number once where it begins, and one bit an entry that says where;
+* ``halves``: the upper half of numbers in single precision whose lower half is zero, as rounded weights;
 * ``steps``: fixed point, see :class:`StepTable`.
 """
 
@@ -221,7 +222,15 @@ def _choose(flat: np.ndarray, columns: int) -> Form:
     if plain.bytes < LEAST_BYTES:
         return plain
     others = [
-        each for each in (_as_line(flat), _as_values(flat), _as_runs(flat), _as_steps(flat, columns)) if each
+        form
+        for form in (
+            _as_line(flat),
+            _as_values(flat),
+            _as_runs(flat),
+            _as_halves(flat),
+            _as_steps(flat, columns),
+        )
+        if form
     ]
     best = min(others, key=lambda form: form.bytes, default=plain)
     return best if best.bytes <= LEAST_SHARE * plain.bytes else plain
@@ -280,6 +289,17 @@ def _as_runs(flat: np.ndarray) -> Form | None:
     stored, entry = _number(flat[begins], flat.dtype, "#[run_of(#_begins, #_runs, @)]")
     arrays = {"": stored, "_begins": words, "_runs": before}
     return Form(sum(each.nbytes for each in arrays.values()), arrays, entry)
+
+
+def _as_halves(flat: np.ndarray) -> Form | None:
+    single = _number(flat, flat.dtype, "")[0]
+    if single.dtype != np.float32 or not np.isfinite(single).all():
+        return None
+    bits = single.view(np.uint32)
+    if (bits & 0xFFFF).any():
+        return None
+    entry = "single_of(#[@])" if flat.dtype == np.float32 else "(double)single_of(#[@])"
+    return Form(single.nbytes // 2, {"": (bits >> 16).astype(np.uint16)}, entry)
 
 
 def _as_steps(flat: np.ndarray, columns: int) -> Form | None:

@@ -344,18 +344,18 @@ class TeacherConfig(AbstractConfig):
     algorithm: ClassVar[str] = "teacher"
 
     keep: Keep = "last"
-    steps: int = 30_000_000
+    steps: int = 48_000_000
     evaluations: int = 6
     hidden: tuple[int, ...] = (128, 128, 128)
     activation: Activation = "silu"
     normalise_observations: bool = True
     gamma: float = 1.0
     max_gradient_norm: float | None = 0.5
-    worlds: int = declare(2_000, low=1)
-    wide_share: float = declare(0.0, low=0.0, high=1.0)
+    worlds: int = declare(3_000, low=1)
+    wide_share: float = declare(0.25, low=0.0, high=1.0)
     plans: int = declare(7, low=1)
     states: int = declare(60, low=1)
-    batches: int = declare(12_000, low=1)
+    batches: int = declare(20_000, low=1)
     batch_size: int = declare(1_024, low=1)
     imitation_rate: float = declare(1.5e-3, low=0.0)
     learning_rate: Scheduled = declare(COSINE_LR, low=0.0, high=1.0)

@@ -94,6 +94,19 @@ def imitation_loss(
     return jnp.mean(jnp.where(off < NEAR, off * off / (2.0 * NEAR), off - NEAR / 2.0))
 
 
+def round_weights(params: Params) -> dict[str, ndarray]:
+    """Parameters with the weights of the layers rounded to the upper half of single precision.
+
+    Eight significant bits (bfloat16): a controller stores a weight in two bytes, and drives do not change by
+    more than they scatter.
+    """
+
+    def rounded(value: Array) -> ndarray:
+        return np.asarray(value.astype(jnp.bfloat16).astype(value.dtype) if value.ndim > 1 else value)
+
+    return {name: rounded(jnp.asarray(value)) for name, value in params.items()}
+
+
 def apply_gradient(
     train_state: TrainState, gradient: Params, rate: Scalar, max_norm: float | None
 ) -> TrainState:

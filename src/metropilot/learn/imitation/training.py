@@ -46,6 +46,7 @@ from metropilot.learn.imitation.train_state import (
     labels,
     new_train_state,
     reset_optimiser,
+    round_weights,
 )
 from metropilot.learn.schedules import value_at
 from metropilot.learn.train import (
@@ -168,8 +169,8 @@ class _Training:
                 standing, row = self._evaluate(standing, train_state, row)
                 log.add(standing, row, int(row["steps"]), time.perf_counter() - start)
         self._remove_demonstrations(dataset)
-        params = {name: np.asarray(value) for name, value in standing.best.items()}
-        return TrainingResult(Policy(spec, params), float(standing.best_score), log.history, log.seconds, 0.0)
+        policy = Policy(spec, round_weights(standing.best))
+        return TrainingResult(policy, float(standing.best_score), log.history, log.seconds, 0.0)
 
     def _collect(self, dataset: DemonstrationSet) -> None:
         """Collect demonstrations that are not there yet; none once the learning has begun."""
