@@ -12,8 +12,9 @@ BUILD = {
     "slowest_us": 120.0,
     "p999_us": 90.0,
     "worst_us": 700.0,
-    "alone_worst_us": 180.0,
     "switched": 9,
+    "beyond_wanted": 3,
+    "real_time": True,
     "wall_p999_us": 100.0,
     "wall_worst_us": 4000.0,
     "object_bytes": 297781,
@@ -48,7 +49,7 @@ def test_the_page_says_what_was_measured_and_when(tool, tmp_path):
     keep(tmp_path, "analyse-pid-dkz32-double", ANALYSIS, load="2.5")
     text = tool.page(tmp_path)
     assert (
-        "| `generalist` | dkz32@0.4,0.2 | double | 298 kB | 7.8 kB | 50 µs | 120 µs | 90 µs | 180 µs |"
+        "| `generalist` | dkz32@0.4,0.2 | double | 298 kB | 7.8 kB | 50 µs | 120 µs | 90 µs | 700 µs | 3 |"
         in text
     )
     assert "| clang | clean |" in text
@@ -57,6 +58,9 @@ def test_the_page_says_what_was_measured_and_when(tool, tmp_path):
     assert "| `pid`: another, 1 | 1 lines in 3.0 s of processor time | nothing |" in text
     assert "load: 0.5 to 2.5; date: 2026-11-25; commit: abc; versions: jax 1." in text
     assert "another commit" not in text
+    assert "steps timed at a real-time priority" in text
+    keep(tmp_path, "build-pid-dkz32-double", BUILD | {"real_time": False})
+    assert "at a real-time priority" not in tool.page(tmp_path)
 
 
 def test_the_page_names_parts_of_another_commit(tool, tmp_path):
