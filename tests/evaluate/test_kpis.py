@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from metropilot._io import to_json
-from metropilot.evaluate import checks, kpis_of, optimum_of, verdict
+from metropilot.evaluate import checks, kpi_rows, kpis_of, optimum_of, verdict
 from metropilot.sim import Outcome, drive
 
 DESIGN = (
@@ -147,3 +147,17 @@ def test_json_has_no_infinities():
         "b": [None, 1.0],
         "c": {"d": None},
     }
+
+
+def test_rows_of_the_main_kpis_say_what_there_is(driven):
+    kpis = kpis_of(driven, optimum_of(driven))
+    rows = {row.name: row for row in kpi_rows(kpis.as_dict())}
+    assert rows["running time"].value == f"{kpis.running_time_s:.1f} s"
+    assert rows["running time"].remark.startswith(f"scheduled {kpis.scheduled_time_s:g} s, minimum ")
+    assert f"at least {kpis.attainable_bound_kwh:.2f} kWh" in rows["attainable"].remark
+    older = {name: value for name, value in kpis.as_dict().items() if "attainable" not in name}
+    older |= {"minimum_running_time_s": None, "optimality_gap_percent": None}
+    rows = {row.name: row for row in kpi_rows(older)}
+    assert "attainable" not in rows
+    assert rows["running time"].remark == f"scheduled {kpis.scheduled_time_s:g} s"
+    assert rows["above the optimum"].value == "–"

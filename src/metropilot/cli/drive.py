@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from metropilot.cli import options as opt
-from metropilot.cli.console import console, number, print_json, requirements, show_activity, table
-from metropilot.units import KMH_PER_MPS
+from metropilot.cli.console import console, print_json, requirements, show_activity, table
 
 if TYPE_CHECKING:
     from metropilot.evaluate import Kpis, RunSpec
@@ -77,7 +76,7 @@ def run_and_report(request: RunSpec, out: Path | None, *, as_json: bool) -> int:
 
 def report(request: RunSpec, kpis: Kpis) -> None:
     """Print the drive: requirements and KPIs."""
-    from metropilot.evaluate import checks, verdict
+    from metropilot.evaluate import checks, kpi_rows, verdict
 
     out = console()
     known = request.resolve()
@@ -87,56 +86,4 @@ def report(request: RunSpec, kpis: Kpis) -> None:
         style="bold" if kpis.success else "bold red",
     )
     out.print(requirements(checks(kpis)))
-    out.print(table("", ("KPI", "value", ""), rows(kpis), right=(1,)))
-
-
-def rows(kpis: Kpis) -> list[tuple[str, str, str]]:
-    """Rows of the printed KPIs: name, value with unit, remark."""
-    from metropilot.planning import round_up_time
-
-    share, gap = kpis.optimality_gap_percent, kpis.certificate_gap_percent
-    objective = "at the wheel" if kpis.energy_objective == "wheel" else "net at the line"
-    certificate = "" if gap is None else f"certified within {max(gap, 0.001):.3f} %"
-    least = kpis.minimum_running_time_s
-    fastest = number(None if least is None else round_up_time(least), 2, "s")
-    protected = kpis.protected_running_time_s
-    if protected is not None and protected > kpis.scheduled_time_s:
-        fastest += f", under protection {number(round_up_time(protected), 2, 's')}"
-    return [
-        (
-            "running time",
-            number(kpis.running_time_s, 1, "s"),
-            f"scheduled {kpis.scheduled_time_s:g} s, minimum {fastest}",
-        ),
-        ("energy at the wheel", number(kpis.energy_wheel_kwh, 2, "kWh"), "traction"),
-        (
-            "energy at the line",
-            number(kpis.energy_line_kwh, 2, "kWh"),
-            f"net of {kpis.energy_regenerated_kwh:.2f} kWh regenerated",
-        ),
-        (f"optimum {objective}", number(kpis.optimal_energy_kwh, 2, "kWh"), certificate),
-        ("above the optimum", number(share, 2, "%"), "for the running time achieved"),
-        *attainable_rows(kpis),
-        ("highest speed", number(KMH_PER_MPS * kpis.max_speed_mps, 1, "km/h"), ""),
-        (
-            "acceleration",
-            f"{kpis.max_acceleration_mps2:+.2f} / {-kpis.max_deceleration_mps2:+.2f} m/s²",
-            f"r.m.s. {kpis.rms_acceleration_mps2:.2f} m/s²: {kpis.comfort_band}",
-        ),
-        ("change within 2 s", number(kpis.jerk_cheng2023_mps3, 2, "m/s²"), "jerk as in Cheng23"),
-        ("sum of command changes", number(kpis.comfort_huang2025, 2), "comfort as in Huang25"),
-        ("coasting", number(kpis.coasting_distance_m, 0, "m"), f"{kpis.regime_switches} changes of regime"),
-        ("decision time", number(kpis.decision_time_us_median, 0, "µs"), "median"),
-    ]
-
-
-def attainable_rows(kpis: Kpis) -> list[tuple[str, str, str]]:
-    """Rows of what the trainset can attain, and of the gap split into trainset and driver."""
-    if kpis.attainable_energy_kwh is None:
-        return []
-    about = f"with jerk limit, dead time, lag and protection; at least {kpis.attainable_bound_kwh:.2f} kWh"
-    return [
-        ("attainable", number(kpis.attainable_energy_kwh, 2, "kWh"), about),
-        ("lost by the trainset", number(kpis.trainset_gap_percent, 2, "%"), "attainable above the optimum"),
-        ("lost by the driver", number(kpis.driver_gap_percent, 2, "%"), "this run above the attainable"),
-    ]
+    out.print(table("", ("KPI", "value", ""), kpi_rows(kpis.as_dict()), right=(1,)))

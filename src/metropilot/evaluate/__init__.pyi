@@ -33,9 +33,11 @@ from .kpis import STOP_CHECK as STOP_CHECK
 from .kpis import TIME_CHECK as TIME_CHECK
 from .kpis import Check as Check
 from .kpis import Indices as Indices
+from .kpis import KpiRow as KpiRow
 from .kpis import Kpis as Kpis
 from .kpis import checks as checks
 from .kpis import indices_of as indices_of
+from .kpis import kpi_rows as kpi_rows
 from .kpis import kpis_of as kpis_of
 from .kpis import outcome_words as outcome_words
 from .kpis import verdict as verdict

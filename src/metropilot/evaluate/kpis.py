@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
@@ -13,7 +13,7 @@ from metropilot._typing import Float
 from metropilot.evaluate import measures
 from metropilot.evaluate.measures import motion_energy_jpkg
 from metropilot.evaluate.optimum import Optimum
-from metropilot.planning import Objective
+from metropilot.planning import Objective, round_up_time
 from metropilot.sim import OVERSPEED_MPS, PUNCTUALITY_S, STOP_TOLERANCE_M, Drive, Outcome
 from metropilot.units import J_PER_KWH, KMH_PER_MPS
 
@@ -283,6 +283,75 @@ def _against(drive: Drive, optimum: Optimum | None, objective: Objective) -> dic
             "driver_gap_percent": 100.0 * (used / attainable.energy_j - 1.0),
         }
     return found
+
+
+class KpiRow(NamedTuple):
+    """Row of the table of main KPIs.
+
+    Attributes:
+        name: KPI.
+        value: Its value with its unit; a dash where it does not exist.
+        remark: What it is measured against or by.
+    """
+
+    name: str
+    value: str
+    remark: str
+
+
+def kpi_rows(kpis: Mapping[str, Any]) -> list[KpiRow]:
+    """Rows of the main KPIs, as command line, console and reports show them.
+
+    Args:
+        kpis: Values of :meth:`Kpis.as_dict`, as ``kpis.json`` holds them; some may lack in an older run.
+    """
+
+    def value(name: str, digits: int, unit: str = "") -> str:
+        found = kpis.get(name)
+        return "–" if found is None else f"{found:.{digits}f} {unit}".rstrip()
+
+    gap, bound = kpis.get("certificate_gap_percent"), value("attainable_bound_kwh", 2, "kWh")
+    certificate = "" if gap is None else f"certified within {max(gap, 0.001):.3f} %"
+    regenerated, rms = value("energy_regenerated_kwh", 2, "kWh"), value("rms_acceleration_mps2", 2, "m/s²")
+    attained = [
+        ("attainable", value("attainable_energy_kwh", 2, "kWh"), f"{ATTAINABLE}; at least {bound}"),
+        ("lost by the trainset", value("trainset_gap_percent", 2, "%"), "attainable above the optimum"),
+        ("lost by the driver", value("driver_gap_percent", 2, "%"), "this run above the attainable"),
+    ]
+    rows = [
+        ("running time", value("running_time_s", 1, "s"), _times(kpis)),
+        ("energy at the wheel", value("energy_wheel_kwh", 2, "kWh"), "traction"),
+        ("energy at the line", value("energy_line_kwh", 2, "kWh"), f"net of {regenerated} regenerated"),
+        (f"optimum at the {kpis['energy_objective']}", value("optimal_energy_kwh", 2, "kWh"), certificate),
+        ("above the optimum", value("optimality_gap_percent", 2, "%"), "for the running time achieved"),
+        *(attained if kpis.get("attainable_energy_kwh") is not None else ()),
+        ("highest speed", f"{KMH_PER_MPS * kpis['max_speed_mps']:.1f} km/h", ""),
+        (
+            "acceleration",
+            f"{kpis['max_acceleration_mps2']:+.2f} / {-kpis['max_deceleration_mps2']:+.2f} m/s²",
+            f"r.m.s. {rms}: {kpis['comfort_band']}",
+        ),
+        ("largest jerk", value("max_jerk_mps3", 2, "m/s³"), "the stop included"),
+        ("change within 2 s", value("jerk_cheng2023_mps3", 2, "m/s²"), "jerk as in Cheng23"),
+        ("sum of command changes", value("comfort_huang2025", 2), "comfort as in Huang25"),
+        ("coasting", value("coasting_distance_m", 0, "m"), f"{kpis['regime_switches']} changes of regime"),
+        ("decision time", value("decision_time_us_median", 0, "µs"), "median"),
+    ]
+    return [KpiRow(*row) for row in rows]
+
+
+ATTAINABLE = "with jerk limit, dead time, lag and protection"
+
+
+def _times(kpis: Mapping[str, Any]) -> str:
+    """Times that the running time is measured against."""
+    least, protected = kpis.get("minimum_running_time_s"), kpis.get("protected_running_time_s")
+    words = [f"scheduled {kpis['scheduled_time_s']:g} s"]
+    if least is not None:
+        words.append(f"minimum {round_up_time(least):.2f} s")
+    if protected is not None and protected > kpis["scheduled_time_s"]:
+        words.append(f"under protection {round_up_time(protected):.2f} s")
+    return ", ".join(words)
 
 
 class Check(NamedTuple):

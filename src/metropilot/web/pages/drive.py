@@ -60,10 +60,10 @@ from metropilot.web.words.tables import (
     explain_words,
     hit_columns,
     hit_rows,
-    kpi_rows,
     number,
     regime_columns,
     regime_rows,
+    translate_kpis,
 )
 
 PACES = {1: N_("real time"), 2: "2 ×", 5: "5 ×", 10: "10 ×", 30: "30 ×"}
@@ -594,7 +594,7 @@ def checks_table(checks: list[dict[str, Any]]) -> None:
 
 def kpis_table(k: dict[str, Any]) -> None:
     """Show the main KPIs."""
-    table((_("KPI"), _("value"), ""), kpi_rows(k), right=(1,), name=_("KPIs"))
+    table((_("KPI"), _("value"), ""), translate_kpis(k), right=(1,), name=_("KPIs"))
 
 
 def install(service: Service) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from metropilot import evaluate
 from metropilot.units import J_PER_KWH, KMH_PER_MPS
 from metropilot.web.words.language import _
 from metropilot.web.words.said import retell
@@ -21,42 +22,11 @@ def check_rows(checks: list[dict[str, Any]]) -> list[tuple[str, str, str, bool]]
     return [(retell(c["name"]), retell(c["value"]), retell(c["wanted"]), c["passed"]) for c in checks]
 
 
-def kpi_rows(k: dict[str, Any]) -> tuple[tuple[str, str, str], ...]:
+def translate_kpis(kpis: dict[str, Any]) -> list[tuple[str, str, str]]:
     """Main KPIs: name, value, remark."""
-    wheel, scheduled = k["energy_objective"] == "wheel", f"{k['scheduled_time_s']:g}"
-    timetable, least = _("scheduled {time} s", time=scheduled), k.get("protected_running_time_s")
-    if least is not None and least > k["scheduled_time_s"]:
-        timetable = _("scheduled {time} s, under protection {least} s", time=scheduled, least=f"{least:.2f}")
-    return (
-        (_("running time"), number(k["running_time_s"], 1, "s"), timetable),
-        (_("energy at the wheel"), number(k["energy_wheel_kwh"], 2, "kWh"), _("traction")),
-        (
-            _("energy at the line"),
-            number(k["energy_line_kwh"], 2, "kWh"),
-            _("net of {energy} kWh recovered", energy=f"{k['energy_regenerated_kwh']:.2f}"),
-        ),
-        (
-            _("optimum at the wheel") if wheel else _("optimum at the line"),
-            number(k["optimal_energy_kwh"], 2, "kWh"),
-            _("for the time achieved"),
-        ),
-        (_("above the optimum"), number(k["optimality_gap_percent"], 2, "%"), ""),
-        (
-            _("attainable"),
-            number(k.get("attainable_energy_kwh"), 2, "kWh"),
-            _("with jerk limit, dead time, lag and protection"),
-        ),
-        (_("lost by the trainset"), number(k.get("trainset_gap_percent"), 2, "%"), ""),
-        (_("lost by the driver"), number(k.get("driver_gap_percent"), 2, "%"), ""),
-        (_("highest speed"), number(KMH_PER_MPS * k["max_speed_mps"], 1, "km/h"), ""),
-        (_("largest jerk"), number(k["max_jerk_mps3"], 2, "m/s³"), retell(k["comfort_band"])),
-        (
-            _("coasting"),
-            number(k["coasting_distance_m"], 0, "m"),
-            _("{count} changes of regime", count=k["regime_switches"]),
-        ),
-        (_("decision time"), number(k["decision_time_us_median"], 0, "µs"), _("median")),
-    )
+    return [
+        (retell(row.name), row.value.replace("-", "−"), retell(row.remark)) for row in evaluate.kpi_rows(kpis)
+    ]
 
 
 def regime_columns() -> tuple[str, ...]:

@@ -16,10 +16,10 @@ from metropilot.web.words.tables import (
     explain_words,
     hit_columns,
     hit_rows,
-    kpi_rows,
     number,
     regime_columns,
     regime_rows,
+    translate_kpis,
 )
 
 if TYPE_CHECKING:
@@ -234,7 +234,7 @@ def _drive(sheets: Sheets, driven: dict[str, Any]) -> None:
     rows = [(*texts, "passed" if passed else "FAILED") for *texts, passed in check_rows(driven["checks"])]
     sheets.table(("requirement", "measured", "allowed", ""), rows, (3, 2, 3, 1.2), right=(1,))
     sheets.heading("KPIs")
-    sheets.table(("KPI", "value", ""), kpi_rows(driven["kpis"]), (2.4, 1.4, 5.2), right=(1,))
+    sheets.table(("KPI", "value", ""), translate_kpis(driven["kpis"]), (2.4, 1.4, 5.2), right=(1,))
     told = driven.get("explanation")
     if told is None:
         return
