@@ -45,6 +45,8 @@ CATCH_PER_S = 1.0
 """Deceleration for each m/s above the ceiling."""
 APPROACH_S = 1.25
 """Time in which a gap below the speed to hold is closed."""
+LEAST_SQUARE = 1e-12
+"""Square of an acceleration that is none."""
 EASE_SHARE = 0.4
 """Jerk at which traction is reduced before a speed is reached, over the trainset's jerk limit."""
 REACTION_S = 1.0
@@ -328,4 +330,6 @@ def closing_acceleration(gap_mps: Scalar, time_s: Scalar, jerk_mps3: Scalar) -> 
     """
     xp = namespace(gap_mps, time_s, jerk_mps3)
     jerk = xp.minimum(jerk_mps3, AT_ONCE_MPS3)
-    return xp.minimum(gap_mps / time_s, xp.sqrt(2.0 * EASE_SHARE * jerk * gap_mps))
+    # no root of 0, whose slope is infinite: a learner's gradient would end where the gap is closed
+    square = xp.maximum(2.0 * EASE_SHARE * jerk * gap_mps, LEAST_SQUARE)
+    return xp.minimum(gap_mps / time_s, xp.sqrt(square))
