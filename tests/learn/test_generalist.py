@@ -218,6 +218,33 @@ def test_the_lean_loop_costs_what_the_real_task_costs(few_worlds):
     assert float(np.abs(drives.stop_error_m).max()) < 0.3
 
 
+def test_the_gradient_of_a_drive_says_what_a_change_costs(few_worlds):
+    """A policy that drives up to the ceiling and slows down early: its gradient against differences."""
+    rows = SectionRows(few_worlds.tables(), jax=True)
+    period_s = few_worlds.dt * few_worlds.periods
+    loop = ClosedLoop(rows, few_worlds.features, few_worlds.action, few_worlds.assists, period_s)
+    speed = few_worlds.features.index("speed")
+
+    def decide(params, observation):
+        wanted = params["speed"] * jnp.tanh(params["early"] * observation[speed + 1])
+        return jnp.clip(jnp.stack([0.2 + 2.0 * (wanted - observation[speed])]), -1.0, 1.0)
+
+    minimum = np.asarray(rows.tables.minimum_s)
+    case = jnp.arange(minimum.size, dtype=jnp.int32)
+    zero, one = jnp.zeros(minimum.size), jnp.ones(minimum.size)
+    scheduled = jnp.asarray(1.2 * minimum, jnp.float32)
+    begin = Begin(case, zero, zero, zero, scheduled, scheduled, 300.0 * one, one, one, one)
+
+    def cost(params):
+        drive = jax.vmap(lambda b: loop.drive(decide, params, b, 600, jnp.float32(1.0 / 300.0)))(begin)
+        return jnp.mean(drive.energy_j / 300.0 + 0.02 * drive.late_s)
+
+    params, evaluate = {"speed": jnp.float32(0.95), "early": jnp.float32(8.0)}, jax.jit(cost)
+    more, less = (float(evaluate(params | {"speed": params["speed"] + step})) for step in (0.02, -0.02))
+    slope = jax.jit(jax.grad(cost))(params)["speed"]
+    assert float(slope) == pytest.approx((more - less) / 0.04, rel=0.1)
+
+
 def test_lessons_are_gathered_once_and_read_again(tmp_path):
     gathering = DemonstrationSet(7, 2, 2, 5, tmp_path)
     collect_shard(gathering, 0)
