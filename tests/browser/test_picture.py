@@ -1,6 +1,7 @@
 """Work on the picture of a run: its moments, pause and step, copies, restrictions that are dragged."""
 
 import csv
+import re
 import struct
 import xml.etree.ElementTree as ET
 from pathlib import Path
@@ -244,3 +245,58 @@ def test_the_plan_follows_the_true_plant(visit, width, height):
     field.fill("1")
     expect(words).to_have_text("")
     page.wait_for_function(f"{plant}.x.length === 0")
+
+
+def test_every_slider_is_the_one_that_keeps_its_place():
+    pages = ROOT / "src" / "metropilot" / "web" / "pages"
+    assert [path.name for path in pages.glob("*.py") if "ui.slider(" in path.read_text(encoding="utf-8")] == []
+
+
+def press_quickly(page, name, begin):
+    """Press an arrow key 12 times on a slider, as quickly as it goes; return the slider."""
+    slider = page.locator(f'.q-slider[aria-label="{name}"]')
+    expect(slider).to_have_attribute("aria-valuenow", begin)
+    slider.locator('[tabindex="0"]').focus()
+    for _ in range(12):
+        page.keyboard.press("ArrowRight")
+    return slider
+
+
+@pytest.mark.parametrize(
+    ("name", "field", "begin", "end"),
+    [
+        ("True mass / nominal", "mass_factor", 1, 1.12),
+        ("True resistance / nominal", "resistance_factor", 1, 1.6),
+        ("Additional dead time", "delay_s", 0, 0.6),
+        ("Additional lag", "lag_s", 0, 0.6),
+        ("Scheduled running time in seconds", "time_s", 101, 113),
+    ],
+)
+def test_no_quick_press_on_a_slider_is_lost(visit, server, name, field, begin, end):
+    page = visit("/", width=1440)
+    expect(page.get_by_text("minimum 83.3 s")).to_be_visible(timeout=PATIENCE_MS)
+    page.get_by_text("Disturbances", exact=True).click()
+    slider = press_quickly(page, name, f"{begin:g}")
+    expect(slider).to_have_attribute("aria-valuenow", f"{end:g}")
+    answer = server.post("/api/plan", {**SECTION, field: end})
+    plan, drawn = (answer, "optimal plan") if field == "time_s" else (answer["plant"], "plan of the true plant")
+    trace = f"{PLOT}.data.find(t => t.name === '{drawn}').y"
+    highest = 3.6 * max(plan["speed_mps"])
+    page.wait_for_function(
+        f"{trace}.length === {len(plan['speed_mps'])} && Math.abs(Math.max(...{trace}) - {highest}) < 1e-3"
+    )
+    if field == "time_s":
+        expect(page.get_by_text("Running time 113 s")).to_be_visible()
+    else:
+        typed = page.get_by_label(re.compile(f"^{re.escape(name)}( \\(s\\))?$")).and_(page.get_by_role("spinbutton"))
+        expect(typed).to_have_value(f"{end:g}")
+    expect(slider).to_have_attribute("aria-valuenow", f"{end:g}")
+
+
+def test_no_quick_press_on_the_headway_is_lost(visit):
+    page = visit("/line", width=1440)
+    expect(page.locator('[data-test="result"]')).not_to_be_empty()
+    slider = press_quickly(page, "Headway in seconds", "180")
+    expect(slider).to_have_attribute("aria-valuenow", "240")
+    expect(page.get_by_label("Headway (s)")).to_have_value("240")
+    expect(slider).to_have_attribute("aria-valuenow", "240")
