@@ -249,7 +249,9 @@ def test_the_plan_follows_the_true_plant(visit, width, height):
 
 def test_every_slider_is_the_one_that_keeps_its_place():
     pages = ROOT / "src" / "metropilot" / "web" / "pages"
-    assert [path.name for path in pages.glob("*.py") if "ui.slider(" in path.read_text(encoding="utf-8")] == []
+    assert [
+        path.name for path in pages.glob("*.py") if "ui.slider(" in path.read_text(encoding="utf-8")
+    ] == []
 
 
 def press_quickly(page, name, begin):
@@ -279,7 +281,9 @@ def test_no_quick_press_on_a_slider_is_lost(visit, server, name, field, begin, e
     slider = press_quickly(page, name, f"{begin:g}")
     expect(slider).to_have_attribute("aria-valuenow", f"{end:g}")
     answer = server.post("/api/plan", {**SECTION, field: end})
-    plan, drawn = (answer, "optimal plan") if field == "time_s" else (answer["plant"], "plan of the true plant")
+    plan, drawn = (
+        (answer, "optimal plan") if field == "time_s" else (answer["plant"], "plan of the true plant")
+    )
     trace = f"{PLOT}.data.find(t => t.name === '{drawn}').y"
     highest = 3.6 * max(plan["speed_mps"])
     page.wait_for_function(
@@ -288,7 +292,9 @@ def test_no_quick_press_on_a_slider_is_lost(visit, server, name, field, begin, e
     if field == "time_s":
         expect(page.get_by_text("Running time 113 s")).to_be_visible()
     else:
-        typed = page.get_by_label(re.compile(f"^{re.escape(name)}( \\(s\\))?$")).and_(page.get_by_role("spinbutton"))
+        typed = page.get_by_label(re.compile(f"^{re.escape(name)}( \\(s\\))?$")).and_(
+            page.get_by_role("spinbutton")
+        )
         expect(typed).to_have_value(f"{end:g}")
     expect(slider).to_have_attribute("aria-valuenow", f"{end:g}")
 
