@@ -1,4 +1,4 @@
-"""Work on the picture of a run: its moments, pause and step, copies, restrictions that are dragged."""
+"""Work on the picture of a run: moments, pause and step, copies, what is dragged, sliders."""
 
 import csv
 import re
@@ -196,7 +196,7 @@ def test_a_restriction_is_dragged_before_departure(visit, width, height):
     expect(rows.get_by_label("To (m)")).to_have_value("800")
     expect(rows.get_by_label("Speed (km/h)")).to_have_value("40")
     page.wait_for_function(f"{PLOT}.layout.shapes[0].x0 === 700 && {PLOT}.layout.shapes[0].x1 === 800")
-    drag(page, [750, 40], [750, 31])
+    drag(page, [750, 42], [750, 33])
     expect(rows.get_by_label("Speed (km/h)")).to_have_value("30")
     expect(rows.get_by_label("From (m)")).to_have_value("700")
 
@@ -258,7 +258,10 @@ def press_quickly(page, name, begin):
     """Press an arrow key 12 times on a slider, as quickly as it goes; return the slider."""
     slider = page.locator(f'.q-slider[aria-label="{name}"]')
     expect(slider).to_have_attribute("aria-valuenow", begin)
-    slider.locator('[tabindex="0"]').focus()
+    thumb = slider.locator('[tabindex="0"]')
+    expect(thumb).to_be_visible()
+    thumb.focus()
+    expect(thumb).to_be_focused()
     for _ in range(12):
         page.keyboard.press("ArrowRight")
     return slider
@@ -306,3 +309,93 @@ def test_no_quick_press_on_the_headway_is_lost(visit):
     expect(slider).to_have_attribute("aria-valuenow", "240")
     expect(page.get_by_label("Headway (s)")).to_have_value("240")
     expect(slider).to_have_attribute("aria-valuenow", "240")
+
+
+LANE = """time_s => { const el = document.querySelector('[data-test=live] .js-plotly-plot');
+    const lane = el._fullLayout.yaxis4;
+    el.scrollIntoView({ block: 'center' });
+    return el.getBoundingClientRect().top + lane._offset + lane.d2p(time_s); }"""
+ARRIVAL, WISH = (
+    f"{PLOT}.data.find(t => t.name === '{name}')" for name in ("scheduled arrival", "not sent yet")
+)
+
+
+def drag_arrival(page, begin, end):
+    """Drag the bar of the arrival from one time to another, s; the button stays pressed."""
+    height = page.evaluate(LANE, begin)
+    box = page.locator(".mp-arrival").bounding_box()
+    across = box["x"] + box["width"] / 2
+    assert box["y"] < height < box["y"] + box["height"]
+    page.mouse.move(across, height)
+    page.mouse.down()
+    page.mouse.move(across - 9, page.evaluate(LANE, end), steps=6)
+
+
+@pytest.mark.parametrize(("width", "height"), SIZES)
+def test_an_arrival_is_dragged_before_departure(visit, server, width, height):
+    page = visit("/", width=width, height=height)
+    expect(page.get_by_text("minimum 83.3 s")).to_be_visible(timeout=PATIENCE_MS)
+    page.wait_for_function(f"{ARRIVAL}.y[0] === 101")
+    slider = page.locator('.q-slider[data-test="time"]')
+    least, most = (slider.get_attribute(f"aria-value{end}") for end in ("min", "max"))
+    drag_arrival(page, 101, 118)
+    expect(slider).to_have_attribute("aria-valuenow", "118")
+    page.wait_for_function(f"{ARRIVAL}.y[0] === 118")  # the plan follows while it is held
+    page.mouse.up()
+    expect(page.get_by_text("Running time 118 s")).to_be_visible()
+    plan = server.post("/api/plan", {**SECTION, "time_s": 118})
+    lane = f"{PLOT}.data.find(t => t.name === 'optimal plan' && t.yaxis === 'y4').y"
+    page.wait_for_function(f"Math.abs({lane}.at(-1) - {plan['time_s'][-1]}) < 1e-3")
+    drag_arrival(page, 118, 3)
+    page.mouse.up()
+    expect(slider).to_have_attribute("aria-valuenow", least)
+    page.wait_for_function(f"{ARRIVAL}.y[0] === {least}")
+    drag_arrival(page, float(least), 1000)
+    page.mouse.up()
+    expect(slider).to_have_attribute("aria-valuenow", most)
+    assert page.evaluate("document.documentElement.scrollWidth") <= width
+
+
+@pytest.mark.parametrize(("width", "height"), SIZES)
+def test_an_arrival_is_dragged_on_the_way(visit, width, height):
+    page = visit("/", width=width, height=height)
+    live = depart(page, "real time")
+    field = page.get_by_label("Arrive after (s)")
+    page.wait_for_function(f"{ARRIVAL}.y[0] === 101 && {WISH}.x.length === 0")
+    drag_arrival(page, 101, 121)
+    expect(field).to_have_value("121")
+    page.wait_for_function(f"{WISH}.y[0] === 121 && {WISH}.text[0].includes('not sent yet')")
+    page.mouse.up()
+    expect(page.locator('[data-mp="scheduled"]')).to_contain_text("101")
+    assert page.locator('[data-mp="log"] li').count() == 0
+    drag_arrival(page, 121, 115)
+    page.mouse.up()
+    expect(field).to_have_value("115")
+    page.locator('[data-test="tell-arrival"]').click()
+    expect(page.locator('[data-mp="log"]')).to_contain_text("new arrival time, later: after 115 s")
+    page.wait_for_function(f"{ARRIVAL}.y[0] === 115 && {WISH}.x.length === 0")
+    expect(page.locator('[data-mp="scheduled"]')).to_contain_text("115")
+    field.fill("130")
+    page.wait_for_function(f"{WISH}.y[0] === 130")
+    page.locator('[data-test="stop"]').click()
+    expect(live).to_have_attribute("data-status", "stopped")
+    page.wait_for_function(f"{ARRIVAL}.y[0] === 115 && {WISH}.x.length === 0")
+    expect(page.locator(".mp-arrival")).to_be_hidden()
+
+
+def test_a_run_that_is_over_shows_its_time_and_arrival(visit, server, driven):
+    columns = server.get(f"/api/jobs/{driven}/drive")["columns"]
+    page = visit(f"/?run={driven}", width=1440)
+    expect(page.get_by_role("slider", name="Moment")).to_be_visible()
+    page.wait_for_function(f"{ARRIVAL}.y[0] === 101")
+    drawn = page.evaluate(f"{PLOT}.data.find(t => t.name === 'driven' && t.yaxis === 'y4').y")
+    assert drawn == pytest.approx(columns["time_s"])
+    expect(page.locator(".mp-arrival")).to_be_hidden()
+    page.get_by_role("slider", name="Moment").fill("50")
+    head = f"{PLOT}.data.filter(t => t.yaxis === 'y4' && t.mode === 'markers')[0].y[0]"
+    page.wait_for_function(f"Math.abs({head} - {columns['time_s'][50]}) < 1e-6")
+    path, _ = taken(page, 0, "Values of the plot as CSV")
+    with path.open(encoding="utf-8-sig", newline="") as file:
+        names, first, *_ = csv.reader(file)
+    assert first[names.index("scheduled arrival: time (s)")] == "101"
+    assert first[names.index("driven: time (s)")] == f"{columns['time_s'][0]:g}"

@@ -230,6 +230,11 @@ class SectionForm:
         """Running time of the slider, s."""
         return float(self.slider.value or 0.0)
 
+    @property
+    def time_bounds_s(self) -> tuple[float, float]:
+        """Least and greatest running time of the slider, s."""
+        return self.slider.props["min"], self.slider.props["max"]
+
     def build(self) -> None:
         """Place the fields."""
         lines = {row["id"]: row["name"] for row in catalogue.line_rows(self.service)}
@@ -452,12 +457,15 @@ class SectionForm:
     def _refresh(self) -> Awaitable[None] | None:
         return self.load() if self._changed_by_hand() else None
 
-    async def _replan(self) -> None:
+    def _replan(self) -> Awaitable[None] | None:
+        # told at once, not when it is awaited: by then the form is filled
+        return None if self._filling else self._load_at_same_time()
+
+    async def _load_at_same_time(self) -> None:
         """Load the section anew with other restrictions, or another objective, at the same time."""
-        if not self._filling:
-            await self.load(same_time=True)
-            if self.section is not None and self.time_s < self.section["minimum_running_time_s"]:
-                self.slider.value = math.ceil(self.section["minimum_running_time_s"])
+        await self.load(same_time=True)
+        if self.section is not None and self.time_s < self.section["minimum_running_time_s"]:
+            self.slider.value = math.ceil(self.section["minimum_running_time_s"])
 
     async def move_restriction(self, k: int, place: dict[str, float]) -> None:
         """Move a restriction known before departure, and plan anew; ``place`` is as displayed."""
@@ -466,7 +474,7 @@ class SectionForm:
             self.restrictions.move(k, place)
             self._filling = False
             self.restrictions.fold.open()
-            await self._replan()
+            await self._load_at_same_time()
 
     def _time_moved(self) -> Awaitable[None] | None:
         if self._filling:
