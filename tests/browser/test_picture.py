@@ -302,6 +302,27 @@ def test_no_quick_press_on_a_slider_is_lost(visit, server, name, field, begin, e
     expect(slider).to_have_attribute("aria-valuenow", f"{end:g}")
 
 
+def test_a_fast_drag_of_a_slider_ends_where_it_is_let_go(visit, server):
+    page = visit("/", width=1440)
+    expect(page.get_by_text("minimum 83.3 s")).to_be_visible(timeout=PATIENCE_MS)
+    page.get_by_text("Disturbances", exact=True).click()
+    slider = page.locator('.q-slider[aria-label="Additional dead time"]')
+    page.wait_for_timeout(400)  # until the expansion stands still
+    slider.scroll_into_view_if_needed()
+    box = slider.bounding_box()
+    page.mouse.move(box["x"] + 12, box["y"] + box["height"] / 2)
+    page.mouse.down()
+    page.mouse.move(box["x"] + 0.6 * box["width"], box["y"] + box["height"] / 2, steps=40)
+    page.mouse.up()
+    shown = float(slider.get_attribute("aria-valuenow"))
+    assert 1.0 < shown < 1.4
+    expect(page.get_by_label("Additional dead time (s)", exact=True)).to_have_value(f"{shown:g}")
+    highest = 3.6 * max(server.post("/api/plan", {**SECTION, "delay_s": shown})["plant"]["speed_mps"])
+    plant = f"{PLOT}.data.find(t => t.name === 'plan of the true plant')"
+    page.wait_for_function(f"Math.abs(Math.max(...{plant}.y) - {highest}) < 1e-3")
+    assert float(slider.get_attribute("aria-valuenow")) == shown
+
+
 def test_no_quick_press_on_the_headway_is_lost(visit):
     page = visit("/line", width=1440)
     expect(page.locator('[data-test="result"]')).not_to_be_empty()
