@@ -226,7 +226,7 @@ def test_the_plan_follows_the_true_plant(visit, width, height):
     page.get_by_text("Disturbances", exact=True).click()
     field = page.get_by_label("True mass / nominal", exact=True).and_(page.get_by_role("spinbutton"))
     field.fill("1.2")
-    plant = f"{PLOT}.data.find(t => t.name === 'plan of the true plant')"
+    plant = f"{PLOT}?.data?.find(t => t.name === 'plan of the true plant')"
     page.wait_for_function(f"{plant}.x.length > 50")
     words = page.locator('[data-test="plant"]')
     expect(words).to_contain_text("at best")
@@ -287,7 +287,7 @@ def test_no_quick_press_on_a_slider_is_lost(visit, server, name, field, begin, e
     plan, drawn = (
         (answer, "optimal plan") if field == "time_s" else (answer["plant"], "plan of the true plant")
     )
-    trace = f"{PLOT}.data.find(t => t.name === '{drawn}').y"
+    trace = f"{PLOT}?.data?.find(t => t.name === '{drawn}').y"
     highest = 3.6 * max(plan["speed_mps"])
     page.wait_for_function(
         f"{trace}.length === {len(plan['speed_mps'])} && Math.abs(Math.max(...{trace}) - {highest}) < 1e-3"
@@ -318,7 +318,7 @@ def test_a_fast_drag_of_a_slider_ends_where_it_is_let_go(visit, server):
     assert 1.0 < shown < 1.4
     expect(page.get_by_label("Additional dead time (s)", exact=True)).to_have_value(f"{shown:g}")
     highest = 3.6 * max(server.post("/api/plan", {**SECTION, "delay_s": shown})["plant"]["speed_mps"])
-    plant = f"{PLOT}.data.find(t => t.name === 'plan of the true plant')"
+    plant = f"{PLOT}?.data?.find(t => t.name === 'plan of the true plant')"
     page.wait_for_function(f"Math.abs(Math.max(...{plant}.y) - {highest}) < 1e-3")
     assert float(slider.get_attribute("aria-valuenow")) == shown
 
@@ -337,7 +337,7 @@ LANE = """time_s => { const el = document.querySelector('[data-test=live] .js-pl
     el.scrollIntoView({ block: 'center' });
     return el.getBoundingClientRect().top + lane._offset + lane.d2p(time_s); }"""
 ARRIVAL, WISH = (
-    f"{PLOT}.data.find(t => t.name === '{name}')" for name in ("scheduled arrival", "not sent yet")
+    f"{PLOT}?.data?.find(t => t.name === '{name}')?" for name in ("scheduled arrival", "not sent yet")
 )
 
 
@@ -365,7 +365,7 @@ def test_an_arrival_is_dragged_before_departure(visit, server, width, height):
     page.mouse.up()
     expect(page.get_by_text("Running time 118 s")).to_be_visible()
     plan = server.post("/api/plan", {**SECTION, "time_s": 118})
-    lane = f"{PLOT}.data.find(t => t.name === 'optimal plan' && t.yaxis === 'y4').y"
+    lane = f"{PLOT}?.data?.find(t => t.name === 'optimal plan' && t.yaxis === 'y4').y"
     page.wait_for_function(f"Math.abs({lane}.at(-1) - {plan['time_s'][-1]}) < 1e-3")
     drag_arrival(page, 118, 3)
     page.mouse.up()
@@ -409,7 +409,7 @@ def test_a_run_that_is_over_shows_its_time_and_arrival(visit, server, driven):
     page = visit(f"/?run={driven}", width=1440)
     expect(page.get_by_role("slider", name="Moment")).to_be_visible()
     page.wait_for_function(f"{ARRIVAL}.y[0] === 101")
-    drawn = page.evaluate(f"{PLOT}.data.find(t => t.name === 'driven' && t.yaxis === 'y4').y")
+    drawn = page.evaluate(f"{PLOT}?.data?.find(t => t.name === 'driven' && t.yaxis === 'y4').y")
     assert drawn == pytest.approx(columns["time_s"])
     expect(page.locator(".mp-arrival")).to_be_hidden()
     page.get_by_role("slider", name="Moment").fill("50")
