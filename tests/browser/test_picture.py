@@ -1,6 +1,7 @@
-"""Work on the picture of a run: its moments, pause and step, copies, restrictions that are dragged."""
+"""Work on the picture of a run: moments, pause and step, copies, what is dragged, sliders."""
 
 import csv
+import re
 import struct
 import xml.etree.ElementTree as ET
 from pathlib import Path
@@ -195,7 +196,7 @@ def test_a_restriction_is_dragged_before_departure(visit, width, height):
     expect(rows.get_by_label("To (m)")).to_have_value("800")
     expect(rows.get_by_label("Speed (km/h)")).to_have_value("40")
     page.wait_for_function(f"{PLOT}.layout.shapes[0].x0 === 700 && {PLOT}.layout.shapes[0].x1 === 800")
-    drag(page, [750, 40], [750, 31])
+    drag(page, [750, 42], [750, 33])
     expect(rows.get_by_label("Speed (km/h)")).to_have_value("30")
     expect(rows.get_by_label("From (m)")).to_have_value("700")
 
@@ -225,7 +226,7 @@ def test_the_plan_follows_the_true_plant(visit, width, height):
     page.get_by_text("Disturbances", exact=True).click()
     field = page.get_by_label("True mass / nominal", exact=True).and_(page.get_by_role("spinbutton"))
     field.fill("1.2")
-    plant = f"{PLOT}.data.find(t => t.name === 'plan of the true plant')"
+    plant = f"{PLOT}?.data?.find(t => t.name === 'plan of the true plant')"
     page.wait_for_function(f"{plant}.x.length > 50")
     words = page.locator('[data-test="plant"]')
     expect(words).to_contain_text("at best")
@@ -244,3 +245,178 @@ def test_the_plan_follows_the_true_plant(visit, width, height):
     field.fill("1")
     expect(words).to_have_text("")
     page.wait_for_function(f"{plant}.x.length === 0")
+
+
+def test_every_slider_is_the_one_that_keeps_its_place():
+    pages = ROOT / "src" / "metropilot" / "web" / "pages"
+    assert [
+        path.name for path in pages.glob("*.py") if "ui.slider(" in path.read_text(encoding="utf-8")
+    ] == []
+
+
+def press_quickly(page, name, begin):
+    """Press an arrow key 12 times on a slider, as quickly as it goes; return the slider."""
+    slider = page.locator(f'.q-slider[aria-label="{name}"]')
+    expect(slider).to_have_attribute("aria-valuenow", begin)
+    thumb = slider.locator('[tabindex="0"]')
+    expect(thumb).to_be_visible()
+    thumb.focus()
+    expect(thumb).to_be_focused()
+    for _ in range(12):
+        page.keyboard.press("ArrowRight")
+    return slider
+
+
+@pytest.mark.parametrize(
+    ("name", "field", "begin", "end"),
+    [
+        ("True mass / nominal", "mass_factor", 1, 1.12),
+        ("True resistance / nominal", "resistance_factor", 1, 1.6),
+        ("Additional dead time", "delay_s", 0, 0.6),
+        ("Additional lag", "lag_s", 0, 0.6),
+        ("Scheduled running time in seconds", "time_s", 101, 113),
+    ],
+)
+def test_no_quick_press_on_a_slider_is_lost(visit, server, name, field, begin, end):
+    page = visit("/", width=1440)
+    expect(page.get_by_text("minimum 83.3 s")).to_be_visible(timeout=PATIENCE_MS)
+    page.get_by_text("Disturbances", exact=True).click()
+    slider = press_quickly(page, name, f"{begin:g}")
+    expect(slider).to_have_attribute("aria-valuenow", f"{end:g}")
+    answer = server.post("/api/plan", {**SECTION, field: end})
+    plan, drawn = (
+        (answer, "optimal plan") if field == "time_s" else (answer["plant"], "plan of the true plant")
+    )
+    trace = f"{PLOT}?.data?.find(t => t.name === '{drawn}').y"
+    highest = 3.6 * max(plan["speed_mps"])
+    page.wait_for_function(
+        f"{trace}.length === {len(plan['speed_mps'])} && Math.abs(Math.max(...{trace}) - {highest}) < 1e-3"
+    )
+    if field == "time_s":
+        expect(page.get_by_text("Running time 113 s")).to_be_visible()
+    else:
+        typed = page.get_by_label(re.compile(f"^{re.escape(name)}( \\(s\\))?$")).and_(
+            page.get_by_role("spinbutton")
+        )
+        expect(typed).to_have_value(f"{end:g}")
+    expect(slider).to_have_attribute("aria-valuenow", f"{end:g}")
+
+
+def test_a_fast_drag_of_a_slider_ends_where_it_is_let_go(visit, server):
+    page = visit("/", width=1440)
+    expect(page.get_by_text("minimum 83.3 s")).to_be_visible(timeout=PATIENCE_MS)
+    page.get_by_text("Disturbances", exact=True).click()
+    slider = page.locator('.q-slider[aria-label="Additional dead time"]')
+    page.wait_for_timeout(400)  # until the expansion stands still
+    slider.scroll_into_view_if_needed()
+    box = slider.bounding_box()
+    page.mouse.move(box["x"] + 12, box["y"] + box["height"] / 2)
+    page.mouse.down()
+    page.mouse.move(box["x"] + 0.6 * box["width"], box["y"] + box["height"] / 2, steps=40)
+    page.mouse.up()
+    shown = float(slider.get_attribute("aria-valuenow"))
+    assert 1.0 < shown < 1.4
+    expect(page.get_by_label("Additional dead time (s)", exact=True)).to_have_value(f"{shown:g}")
+    highest = 3.6 * max(server.post("/api/plan", {**SECTION, "delay_s": shown})["plant"]["speed_mps"])
+    plant = f"{PLOT}?.data?.find(t => t.name === 'plan of the true plant')"
+    page.wait_for_function(f"Math.abs(Math.max(...{plant}.y) - {highest}) < 1e-3")
+    assert float(slider.get_attribute("aria-valuenow")) == shown
+
+
+def test_no_quick_press_on_the_headway_is_lost(visit):
+    page = visit("/line", width=1440)
+    expect(page.locator('[data-test="result"]')).not_to_be_empty()
+    slider = press_quickly(page, "Headway in seconds", "180")
+    expect(slider).to_have_attribute("aria-valuenow", "240")
+    expect(page.get_by_label("Headway (s)")).to_have_value("240")
+    expect(slider).to_have_attribute("aria-valuenow", "240")
+
+
+LANE = """time_s => { const el = document.querySelector('[data-test=live] .js-plotly-plot');
+    const lane = el._fullLayout.yaxis4;
+    el.scrollIntoView({ block: 'center' });
+    return el.getBoundingClientRect().top + lane._offset + lane.d2p(time_s); }"""
+ARRIVAL, WISH = (
+    f"{PLOT}?.data?.find(t => t.name === '{name}')?" for name in ("scheduled arrival", "not sent yet")
+)
+
+
+def drag_arrival(page, begin, end):
+    """Drag the bar of the arrival from one time to another, s; the button stays pressed."""
+    height = page.evaluate(LANE, begin)
+    box = page.locator(".mp-arrival").bounding_box()
+    across = box["x"] + box["width"] / 2
+    assert box["y"] < height < box["y"] + box["height"]
+    page.mouse.move(across, height)
+    page.mouse.down()
+    page.mouse.move(across - 9, page.evaluate(LANE, end), steps=6)
+
+
+@pytest.mark.parametrize(("width", "height"), SIZES)
+def test_an_arrival_is_dragged_before_departure(visit, server, width, height):
+    page = visit("/", width=width, height=height)
+    expect(page.get_by_text("minimum 83.3 s")).to_be_visible(timeout=PATIENCE_MS)
+    page.wait_for_function(f"{ARRIVAL}.y[0] === 101")
+    slider = page.locator('.q-slider[data-test="time"]')
+    least, most = (slider.get_attribute(f"aria-value{end}") for end in ("min", "max"))
+    drag_arrival(page, 101, 118)
+    expect(slider).to_have_attribute("aria-valuenow", "118")
+    page.wait_for_function(f"{ARRIVAL}.y[0] === 118")  # the plan follows while it is held
+    page.mouse.up()
+    expect(page.get_by_text("Running time 118 s")).to_be_visible()
+    plan = server.post("/api/plan", {**SECTION, "time_s": 118})
+    lane = f"{PLOT}?.data?.find(t => t.name === 'optimal plan' && t.yaxis === 'y4').y"
+    page.wait_for_function(f"Math.abs({lane}.at(-1) - {plan['time_s'][-1]}) < 1e-3")
+    drag_arrival(page, 118, 3)
+    page.mouse.up()
+    expect(slider).to_have_attribute("aria-valuenow", least)
+    page.wait_for_function(f"{ARRIVAL}.y[0] === {least}")
+    drag_arrival(page, float(least), 1000)
+    page.mouse.up()
+    expect(slider).to_have_attribute("aria-valuenow", most)
+    assert page.evaluate("document.documentElement.scrollWidth") <= width
+
+
+@pytest.mark.parametrize(("width", "height"), SIZES)
+def test_an_arrival_is_dragged_on_the_way(visit, width, height):
+    page = visit("/", width=width, height=height)
+    live = depart(page, "real time")
+    field = page.get_by_label("Arrive after (s)")
+    page.wait_for_function(f"{ARRIVAL}.y[0] === 101 && {WISH}.x.length === 0")
+    drag_arrival(page, 101, 121)
+    expect(field).to_have_value("121")
+    page.wait_for_function(f"{WISH}.y[0] === 121 && {WISH}.text[0].includes('not sent yet')")
+    page.mouse.up()
+    expect(page.locator('[data-mp="scheduled"]')).to_contain_text("101")
+    assert page.locator('[data-mp="log"] li').count() == 0
+    drag_arrival(page, 121, 115)
+    page.mouse.up()
+    expect(field).to_have_value("115")
+    page.locator('[data-test="tell-arrival"]').click()
+    expect(page.locator('[data-mp="log"]')).to_contain_text("new arrival time, later: after 115 s")
+    page.wait_for_function(f"{ARRIVAL}.y[0] === 115 && {WISH}.x.length === 0")
+    expect(page.locator('[data-mp="scheduled"]')).to_contain_text("115")
+    field.fill("130")
+    page.wait_for_function(f"{WISH}.y[0] === 130")
+    page.locator('[data-test="stop"]').click()
+    expect(live).to_have_attribute("data-status", "stopped")
+    page.wait_for_function(f"{ARRIVAL}.y[0] === 115 && {WISH}.x.length === 0")
+    expect(page.locator(".mp-arrival")).to_be_hidden()
+
+
+def test_a_run_that_is_over_shows_its_time_and_arrival(visit, server, driven):
+    columns = server.get(f"/api/jobs/{driven}/drive")["columns"]
+    page = visit(f"/?run={driven}", width=1440)
+    expect(page.get_by_role("slider", name="Moment")).to_be_visible()
+    page.wait_for_function(f"{ARRIVAL}.y[0] === 101")
+    drawn = page.evaluate(f"{PLOT}?.data?.find(t => t.name === 'driven' && t.yaxis === 'y4').y")
+    assert drawn == pytest.approx(columns["time_s"])
+    expect(page.locator(".mp-arrival")).to_be_hidden()
+    page.get_by_role("slider", name="Moment").fill("50")
+    head = f"{PLOT}.data.filter(t => t.yaxis === 'y4' && t.mode === 'markers')[0].y[0]"
+    page.wait_for_function(f"Math.abs({head} - {columns['time_s'][50]}) < 1e-6")
+    path, _ = taken(page, 0, "Values of the plot as CSV")
+    with path.open(encoding="utf-8-sig", newline="") as file:
+        names, first, *_ = csv.reader(file)
+    assert first[names.index("scheduled arrival: time (s)")] == "101"
+    assert first[names.index("driven: time (s)")] == f"{columns['time_s'][0]:g}"

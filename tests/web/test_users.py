@@ -1,6 +1,7 @@
 """Users of a shared server: who they are, what each may, what is theirs, and their limits."""
 
 import asyncio
+import sqlite3
 import threading
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
@@ -11,11 +12,12 @@ from tests.web.test_api import SECTION
 from tests.web.test_guard import TOKEN, ask
 
 from metropilot.errors import InputError
-from metropilot.web import Settings, read_users
+from metropilot.web import Settings, projects, read_users
 from metropilot.web.errors import Refused
 from metropilot.web.schemas.requests import DriveIn, LiveIn
 from metropilot.web.security import Guard
 from metropilot.web.service import Service
+from metropilot.web.store import JobStore
 from metropilot.web.users import User, answer_to, present_user
 
 ANNA, VERA = "a" * 20, "v" * 20
@@ -185,17 +187,19 @@ def test_limits_of_a_user_are_told_in_one_line(tmp_path):
             assert second.user == "mia"
         with answer_to(User("anna")):
             await first.stop()
+            request = service.kept_bytes("anna")
+            assert 0 < request < 2_000
             text = service.text("line", "yizhuang").encode()
             upload, _ = await service.upload("mine.toml", text)
-            size = service.kept_bytes("anna")
-            assert size == len(text) < 30_000 < 20 * size
+            assert service.kept_bytes("anna") == request + len(text) < 30_000 < 20 * len(text)
             while service.kept_bytes("anna") + len(text) <= 30_000:
                 await service.upload("more.toml", text)
-            with pytest.raises(Refused, match=r"anna keeps 0\.0 MB of runs and uploads; delete some"):
+            words = r"anna keeps 0\.0 MB of runs and uploads, 0\.0 MB more do not fit; delete some"
+            with pytest.raises(Refused, match=words):
                 await service.upload("more.toml", text)
             for row in service.store.uploads():
                 service.forget(row.id)
-            assert service.kept_bytes("anna") == 0
+            assert service.kept_bytes("anna") == request
             assert upload.user == "anna"
         await second.stop()
         await service.close()
@@ -296,3 +300,92 @@ def test_uploads_at_once_do_not_pass_the_limit_together(tmp_path):
     found = at_once(8, User("anna"), upload)
     assert sum(not isinstance(each, Refused) for each in found) == 2
     assert service.kept_bytes("anna") == 20_000
+
+
+JOURNAL = [(0, {"kind": "lever", "share": None, "words": "x" * 100_000})]
+"""Of a stopped live run: it is packed to nearly nothing."""
+
+
+def archive(service):
+    """Archive of a project with an own line of two versions and a stopped live run; its size when kept."""
+
+    async def made():
+        text = service.text("line", "yizhuang")
+        line = (await service.upload("mine.toml", text.encode()))[0].id
+        await service.save(line, text.replace("[1090, 80]", "[1090, 60]"), 1)
+        return line
+
+    row = service.store.new_project("P")
+    service.store.set_project(asyncio.run(made()), row.id)
+    request = LiveIn.model_validate({**SECTION, "time_s": 101}).model_dump()
+    job = service.store.new_job("live", request)
+    service.store.note_all(job, JOURNAL)
+    service.store.update(job, status="stopped")
+    service.store.set_project(job, row.id)
+    return projects.write_archive(service, row.id), service.kept_bytes("otto")
+
+
+def kept_in(service):
+    """Everything that a service keeps: its rows and its files."""
+    with sqlite3.connect(service.root / "console.sqlite") as database:
+        tables = ("projects", "jobs", "journal", "uploads", "versions")
+        rows = [database.execute(f"SELECT count(*) FROM {table}").fetchone()[0] for table in tables]
+    places = [path for path in service.root.rglob("*") if "sqlite" not in path.name]
+    return rows, sorted(path.relative_to(service.root).as_posix() for path in places)
+
+
+@pytest.fixture
+def packed(tmp_path):
+    """An archive, and its size when it is kept."""
+    with answer_to(User("otto")):
+        return archive(Service(Settings(data=tmp_path / "first")))
+
+
+def take(service, content):
+    return asyncio.run(projects.read_archive(service, content))
+
+
+def test_an_archive_counts_as_what_it_unpacks_to(tmp_path, packed):
+    content, size = packed
+    assert 5 * len(content) < size
+    with answer_to(User("anna")):
+        exact = Service(Settings(data=tmp_path / "exact", user_bytes=size))
+        row = take(exact, content)
+        assert row.user == "anna"
+        assert exact.kept_bytes("anna") == size
+        short = Service(Settings(data=tmp_path / "short", user_bytes=size - 1))
+        (tmp_path / "short" / "uploads").mkdir()
+        before = kept_in(short)
+        with pytest.raises(Refused, match=r"anna keeps 0\.0 MB .*, 0\.1 MB more do not fit; delete") as told:
+            take(short, content)
+        assert told.value.status == 429
+        assert kept_in(short) == before
+        with pytest.raises(Refused, match=r"anna keeps 0\.1 MB of runs and uploads, .* delete some"):
+            take(exact, content)
+
+
+def test_imports_at_once_do_not_pass_the_limit_together(tmp_path, packed):
+    content, size = packed
+    service = Service(Settings(data=tmp_path / "second", user_bytes=2 * size))
+    found = at_once(6, User("anna"), lambda _: take(service, content))
+    assert sum(not isinstance(each, Refused) for each in found) == 2
+    assert {each.status for each in found if isinstance(each, Refused)} == {429}
+    assert service.kept_bytes("anna") == 2 * size
+    rows, places = kept_in(service)
+    assert rows == [2, 2, 2, 2, 4]
+    assert len([place for place in places if place.startswith("uploads/")]) == 4
+
+
+def test_an_import_that_fails_half_way_leaves_nothing(tmp_path, packed, monkeypatch):
+    service = Service(Settings(data=tmp_path / "third"))
+    (tmp_path / "third" / "uploads").mkdir()
+    before = kept_in(service)
+
+    def fail(self, entry, project):
+        del self, entry, project
+        raise OSError("no space left on device")
+
+    monkeypatch.setattr(JobStore, "set_project", fail)
+    with pytest.raises(OSError, match="no space"):
+        take(service, packed[0])
+    assert kept_in(service) == before

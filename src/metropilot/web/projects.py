@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
 import stat
+from dataclasses import dataclass
 from datetime import datetime
+from functools import partial
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -34,7 +37,7 @@ from metropilot.web.schemas.responses import (
     RunningLineOut,
 )
 from metropilot.web.service import SUFFIXES, Service, live_kind
-from metropilot.web.store import OVER, JobRow, ProjectRow
+from metropilot.web.store import OVER, JobRow, JobStore, ProjectRow, new_job_id, new_upload_id
 from metropilot.web.work.drives import FILES
 
 FORMAT = 1
@@ -42,6 +45,8 @@ INDEX = "project.json"
 RESULT = "result.json"
 ENTRY = re.compile(r"(jobs|uploads)/([A-Za-z0-9][A-Za-z0-9_-]{0,63})/([A-Za-z0-9][A-Za-z0-9_.-]{0,63})")
 UPLOAD = re.compile(r"upload-[0-9a-f]{8}")
+VERSIONED = ("line", "trainset")
+"""Kinds of uploads that are edited, each time as another version."""
 MOST_ENTRIES = 10_000
 """Files of an archive at most."""
 BODIES: dict[str, tuple[type[BaseModel], type[BaseModel]]] = {
@@ -156,9 +161,9 @@ async def read_archive(service: Service, content: bytes) -> ProjectRow:
 
     Raises:
         InputError: The archive, or something in it, cannot be used; one line names the entry.
-        Refused: A viewer imports it (403), or the user keeps too much (429).
+        Refused: A viewer imports it (403), or the user keeps too much, or would with it (429).
     """
-    service.check_limits(size=len(content))
+    service.check_limits()
     files = _unpack(content, service.settings.archive_bytes)
     try:
         index = json.loads(files.pop(INDEX))
@@ -168,20 +173,29 @@ async def read_archive(service: Service, content: bytes) -> ProjectRow:
     except (KeyError, TypeError, ValueError, RecursionError) as error:
         raise InputError("not a project", file=INDEX, value=str(error)[:80]) from None
     ids: dict[str, str] = {}
+    places: list[Path] = []
     try:
-        for each in _rows(uploads, "uploads"):
-            old, new = await _take_upload(service, each, files)
-            ids[old] = new
+        sent = [await _take_upload(service, each, files, ids, places) for each in _rows(uploads, "uploads")]
         made = [_take_job(each, files, ids, f"jobs[{k}]") for k, each in enumerate(_rows(jobs, "jobs"))]
+        keys: dict[str, ArchivedJob] = {}
+        for job in made[::-1]:
+            key = new_job_id(job.kind)
+            while key in keys:  # many at once may draw the same random part
+                key = new_job_id(job.kind)
+            keys[key] = job
+            places.append(service.root / "jobs" / key)
+            job.write(places[-1])
+        size = sum(each.size for each in (*sent, *made))
+        with service.store.together(partial(service.check_limits, size=size)) as store:
+            row = store.new_project((name.strip() or "imported")[:80], notes[:20_000])
+            for upload in sent:
+                upload.keep(store, row.id)
+            for key, job in keys.items():
+                job.keep(store, key, row.id)
     except BaseException:
-        for upload in ids.values():
-            service.forget(upload)
+        for place in places:
+            place.unlink(missing_ok=True) if place.is_file() else shutil.rmtree(place, ignore_errors=True)
         raise
-    row = service.store.new_project((name.strip() or "imported")[:80], notes[:20_000])
-    for upload in ids.values():
-        service.store.set_project(upload, row.id)
-    for job in made[::-1]:
-        job.keep(service, row.id)
     return row
 
 
@@ -242,8 +256,44 @@ def _check_entry(entry: ZipInfo) -> None:
         raise InputError("entry has another name", file="archive", value=name[:80], allowed=allowed)
 
 
-async def _take_upload(service: Service, told: dict[str, Any], files: dict[str, bytes]) -> tuple[str, str]:
-    """Check and keep every version of an upload; return its old and its new id."""
+@dataclass(frozen=True)
+class ArchivedUpload:
+    """An upload of an archive, checked: its files are written, its rows are not.
+
+    Attributes:
+        key: Its new id.
+        kind: Kind of every version.
+        versions: Name that the file gives, and file, of each version.
+        size: Size of the files, bytes.
+    """
+
+    key: str
+    kind: str
+    versions: tuple[tuple[str, str], ...]
+    size: int
+
+    def keep(self, store: JobStore, project: str) -> None:
+        """Add the upload with its versions."""
+        for number, (name, file) in enumerate(self.versions):
+            if number == 0:
+                store.add_upload(self.kind, name, file, upload=self.key)
+            else:
+                store.add_version(self.key, number, name, file)
+        store.set_project(self.key, project)
+
+
+async def _take_upload(
+    service: Service,
+    told: dict[str, Any],
+    files: dict[str, bytes],
+    ids: dict[str, str],
+    places: list[Path],
+) -> ArchivedUpload:
+    """Check an upload and write every version of it; add its new id to the ids, the files to the places.
+
+    Raises:
+        InputError: A version is missing, cannot be used, or is of another kind than the first.
+    """
     old, versions = told.get("id"), told.get("versions")
     if (
         not isinstance(old, str)
@@ -252,24 +302,26 @@ async def _take_upload(service: Service, told: dict[str, Any], files: dict[str, 
         or not versions
     ):
         raise InputError("not an upload", file=INDEX, field="uploads", value=str(told)[:80])
-    new = ""
-    try:
-        for number, name in enumerate(versions):
-            content = files.get(f"uploads/{old}/{name}")
-            if content is None or not str(name).endswith(SUFFIXES):
-                raise InputError("missing in the archive", file=f"uploads/{old}/{str(name)[:40]}")
-            if number == 0:
-                # a log or policy is known by the name of its file
-                sent = str(told.get("name", ""))
-                shown = sent if Path(sent).suffix == Path(name).suffix else str(name)
-                new = (await service.upload(shown, content))[0].id
-            else:
-                await service.save(new, content.decode("utf-8", "replace"), number)
-    except BaseException:
-        if new:
-            service.forget(new)
-        raise
-    return old, new
+    kind, size = "", 0
+    taken: list[tuple[str, str]] = []
+    for number, name in enumerate(versions):
+        where = f"uploads/{old}/{str(name)[:40]}"
+        content = files.get(f"uploads/{old}/{name}")
+        if content is None or not str(name).endswith(SUFFIXES):
+            raise InputError("missing in the archive", file=where)
+        # a log or policy is known by the name of its file
+        sent = str(told.get("name", ""))
+        first = sent if Path(sent).suffix == Path(name).suffix else str(name)
+        file, found = await service.take_file("document.toml" if number else first, content)
+        places.append(service.root / "uploads" / file)
+        kind = kind or found["kind"]
+        if number and (found["kind"] != kind or kind not in VERSIONED):
+            told = {"value": found["kind"], "allowed": kind if kind in VERSIONED else "one version"}
+            raise InputError(f"not a version of a {kind}", file=where, field="kind", **told)
+        taken.append((found["name"][:120], file))
+        size += len(content)
+    ids[old] = new_upload_id()
+    return ArchivedUpload(ids[old], kind, tuple(taken), size)
 
 
 class ArchivedJob(BaseModel):
@@ -286,15 +338,23 @@ class ArchivedJob(BaseModel):
     journal: list[tuple[int, dict[str, Any]]]
     files: dict[str, bytes]
 
-    def keep(self, service: Service, project: str) -> None:
-        """Write the job under a new id."""
-        job, store = service.store.new_job(self.kind, self.request), service.store
-        folder = service.root / "jobs" / job
+    @property
+    def size(self) -> int:
+        """Bytes that are kept of it: files, request, result and journal, as ``Service.kept_bytes`` counts."""
+        told = [self.request, *([] if self.result is None else [self.result])]
+        told += [event for _, event in self.journal]
+        return sum(len(json.dumps(each)) for each in told) + sum(map(len, self.files.values()))
+
+    def write(self, folder: Path) -> None:
+        """Write its files into a folder, which is made where there are any."""
         for name, content in self.files.items():
             folder.mkdir(parents=True, exist_ok=True)
             (folder / name).write_bytes(content)
-        for step, event in self.journal:
-            store.note(job, step, event)
+
+    def keep(self, store: JobStore, job: str, project: str) -> None:
+        """Add the job under a new id."""
+        store.new_job(self.kind, self.request, job=job)
+        store.note_all(job, self.journal)
         changes = {"result": self.result} if self.result is not None else {}
         told: dict[str, Any] = {
             "status": self.status,

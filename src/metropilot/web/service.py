@@ -136,7 +136,8 @@ class Service:
             raise Refused(words, 429, field="user", value=name, allowed=f"at most {most}")
         kept = self.kept_bytes(name, database)
         if kept + size > self.settings.user_bytes:
-            words = f"{name} keeps {kept / 1e6:.1f} MB of runs and uploads; delete some"
+            more = f", {size / 1e6:.1f} MB more do not fit" if size else ""
+            words = f"{name} keeps {kept / 1e6:.1f} MB of runs and uploads{more}; delete some"
             allowed = f"at most {self.settings.user_bytes / 1e6:g} MB"
             raise Refused(words, 429, field="user", value=name, allowed=allowed)
 
@@ -147,7 +148,7 @@ class Service:
             raise Refused("too many jobs wait", 429)
 
     def kept_bytes(self, user: str, database: sqlite3.Connection | None = None) -> int:
-        """Size of the results, files and uploads of a user, bytes."""
+        """Size of the requests, results, journals, files and uploads of a user, bytes."""
         size, places = self.store.kept_by(user, database)
         for place in places:
             path = self.root / place
@@ -267,7 +268,7 @@ class Service:
         Raises:
             InputError: It is too large, of no known kind, or malformed: the message names the field.
         """
-        file, found = await self._take(name, content)
+        file, found = await self.take_file(name, content)
         room = partial(self.check_limits, size=len(content))
         try:
             return self.store.add_upload(found["kind"], found["name"][:120], file, room), found
@@ -290,7 +291,7 @@ class Service:
         kind = self.upload_row(upload).kind
         if kind in {POLICY, LOG}:
             raise Refused(f"a {kind} has no versions", 409, field="id", value=upload)
-        file, found = await self._take("document.toml", text.encode())
+        file, found = await self.take_file("document.toml", text.encode())
         path = self.root / "uploads" / file
         try:
             if found["kind"] != kind:
@@ -301,8 +302,22 @@ class Service:
             path.unlink(missing_ok=True)
             raise
 
-    async def _take(self, name: str, content: bytes) -> tuple[str, dict[str, Any]]:
-        """Check a file and keep it; return its new name and what it holds."""
+    async def take_file(self, name: str, content: bytes) -> tuple[str, dict[str, Any]]:
+        """Check a line, trainset, policy or log file and write it into the folder of uploads.
+
+        Nothing names it yet: the caller adds it to the store, or removes it.
+
+        Args:
+            name: Name of the file where it comes from.
+            content: The file.
+
+        Returns:
+            Name of the file in the folder, and what it holds: ``kind``, ``name``, ``notes``.
+
+        Raises:
+            InputError: It is too large, of no known kind, or malformed: the message names the field.
+            Refused: The present user reads only (403), or keeps too much (429).
+        """
         self.check_limits(size=len(content))
         shown = Path(name.replace("\\", "/")).name[:80] or "file"
         suffix = Path(shown).suffix.lower()

@@ -5,8 +5,9 @@ from __future__ import annotations
 import json
 import secrets
 import sqlite3
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from copy import copy
 from dataclasses import dataclass, fields
 from datetime import UTC, datetime
 from pathlib import Path
@@ -109,6 +110,7 @@ class JobStore:
 
     def __init__(self, root: Path) -> None:
         self.root = root
+        self._shared: sqlite3.Connection | None = None
         with self._open() as database:
             columns = {row[1] for row in database.execute("PRAGMA table_info(jobs)")}
             if "asked" in columns:  # a folder of before the fields had the names of run.toml
@@ -132,6 +134,9 @@ class JobStore:
 
     @contextmanager
     def _open(self) -> Iterator[sqlite3.Connection]:
+        if self._shared is not None:
+            yield self._shared
+            return
         with open_database(self.root / "console.sqlite") as database:
             database.execute("PRAGMA synchronous = NORMAL")
             yield database
@@ -151,20 +156,35 @@ class JobStore:
         check_may_change()
         with self._open() as database:
             if check is not None:
-                database.execute("BEGIN IMMEDIATE")
+                if self._shared is None:
+                    database.execute("BEGIN IMMEDIATE")
                 check(database)
             yield database
 
-    def new_job(self, kind: str, request: dict[str, Any], check: Check | None = None) -> str:
+    @contextmanager
+    def together(self, check: Check) -> Iterator[JobStore]:
+        """Store of which all changes in the body of the context are one transaction: all are kept, or none.
+
+        Args:
+            check: Refuses them before the first.
+        """
+        with self._change(check) as database:
+            made = copy(self)
+            made._shared = database  # noqa: SLF001 (of this class)
+            yield made
+
+    def new_job(
+        self, kind: str, request: dict[str, Any], check: Check | None = None, job: str | None = None
+    ) -> str:
         """Add a job of the present user with status ``queued``; return its id.
 
         Args:
             kind: Kind of the job.
             request: Its request.
             check: Refuses the job where there is no room for it.
+            job: Its id, of :func:`new_job_id`; None: a new one.
         """
-        now = datetime.now(UTC)
-        job = f"{kind}-{now:%Y%m%d-%H%M%S}-{secrets.token_hex(3)}"
+        now, job = datetime.now(UTC), job or new_job_id(kind)
         with self._change(check) as database:
             sql = (
                 "INSERT INTO jobs (id, kind, status, request, created, user) VALUES (?, ?, 'queued', ?, ?, ?)"
@@ -257,14 +277,16 @@ class JobStore:
             return int(opened.execute(sql, (user,)).fetchone()[0])
 
     def kept_by(self, user: str, database: sqlite3.Connection | None = None) -> tuple[int, list[str]]:
-        """Bytes of the results of a user, and the folders and files beside them, below the data folder."""
+        """Bytes of a user's requests, results and journals, and folders and files beside them."""
         with self._read(database) as opened:
-            sql = "SELECT id, run, length(result) FROM jobs WHERE user = ?"
+            sql = "SELECT id, run, length(request) + coalesce(length(result), 0) FROM jobs WHERE user = ?"
             jobs = opened.execute(sql, (user,)).fetchall()
+            sql = "SELECT total(length(event)) FROM journal WHERE job IN (SELECT id FROM jobs WHERE user = ?)"
+            events = int(opened.execute(sql, (user,)).fetchone()[0])
             sql = "SELECT file FROM versions WHERE upload IN (SELECT id FROM uploads WHERE user = ?)"
             files = opened.execute(sql, (user,)).fetchall()
         paths = [f"jobs/{job}" for job, _, _ in jobs] + [f"runs/{run}" for _, run, _ in jobs if run]
-        return sum(size or 0 for _, _, size in jobs), paths + [f"uploads/{file}" for (file,) in files]
+        return events + sum(size for _, _, size in jobs), paths + [f"uploads/{file}" for (file,) in files]
 
     def result(self, job: str) -> Any:  # noqa: ANN401 (whatever the job's kind gives)
         """Result of a job; None while there is none."""
@@ -286,6 +308,12 @@ class JobStore:
                 (job, step, json.dumps(event), job),
             )
 
+    def note_all(self, job: str, journal: Sequence[tuple[int, dict[str, Any]]]) -> None:
+        """Write the whole journal of a live run that has none yet."""
+        rows = [(job, number, step, json.dumps(event)) for number, (step, event) in enumerate(journal)]
+        with self._open() as database:
+            database.executemany("INSERT INTO journal VALUES (?, ?, ?, ?)", rows)
+
     def journal(self, job: str) -> list[tuple[int, dict[str, Any]]]:
         """Journal of a live run: (step before which it applies, event)."""
         with self._open() as database:
@@ -294,9 +322,19 @@ class JobStore:
             ).fetchall()
         return [(int(step), json.loads(event)) for step, event in rows]
 
-    def add_upload(self, kind: str, name: str, file: str, check: Check | None = None) -> UploadRow:
-        """Add an upload of the present user under a new id, with its first version."""
-        key, user = f"upload-{secrets.token_hex(4)}", present_user().name
+    def add_upload(
+        self, kind: str, name: str, file: str, check: Check | None = None, upload: str | None = None
+    ) -> UploadRow:
+        """Add an upload of the present user, with its first version.
+
+        Args:
+            kind: Kind of the upload.
+            name: Name that the file gives.
+            file: File of the first version.
+            check: Refuses the upload where there is no room for it.
+            upload: Its id, of :func:`new_upload_id`; None: a new one.
+        """
+        key, user = upload or new_upload_id(), present_user().name
         row, now = UploadRow(key, kind, name, file, user=user), _now()
         with self._change(check) as database:
             sql = "INSERT INTO uploads (id, kind, name, file, created, user) VALUES (?, ?, ?, ?, ?, ?)"
@@ -401,6 +439,16 @@ class JobStore:
         with self._open() as database:
             rows = database.execute(f"SELECT {columns} FROM jobs {rest}", values).fetchall()
         return [_job(row) for row in rows]
+
+
+def new_job_id(kind: str) -> str:
+    """Make an id for a job: its kind, the date and time, and a random part."""
+    return f"{kind}-{datetime.now(UTC):%Y%m%d-%H%M%S}-{secrets.token_hex(3)}"
+
+
+def new_upload_id() -> str:
+    """Make an id for an upload."""
+    return f"upload-{secrets.token_hex(4)}"
 
 
 def _now() -> str:

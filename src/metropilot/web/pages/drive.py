@@ -169,7 +169,9 @@ class DrivePage:
                 self.plot = plot(run_figure()).classes("mp-along")
                 ends = f"'c{self.root.id}', {self.plot.id}"
                 self.plot.on("plotly_relayout", js_handler=f"(e) => metropilot.drag({ends}, e)")
+                self.plot.on("plotly_afterplot", js_handler=f"() => metropilot.arrival({ends})")
                 self.root.on("mp-restriction", self.move_restriction, ["detail"])
+                self.root.on("mp-arrival", self.move_arrival, ["detail"])
                 self.moment = MomentSlider(self.root, self.plot)
                 ui.element("ul").classes("mp-log").props('data-mp="log" aria-live=polite').props(
                     prop_of("aria-label", _("News"))
@@ -238,7 +240,9 @@ class DrivePage:
         ):
             self.news = Problem()
             with ui.element("div").classes("mp-row"):
-                self.arrival = number_field(NewArrival, "scheduled_time_s", value=101)
+                self.arrival = number_field(
+                    NewArrival, "scheduled_time_s", value=101, on_change=self.draw_arrival
+                )
                 self.news.beside("scheduled_time_s", self.arrival)
                 ActionButton(_("Tell"), on_click=self.tell_arrival).props('outline data-test="tell-arrival"')
             with ui.element("div").classes("mp-row"):
@@ -328,7 +332,8 @@ class DrivePage:
                     self.disturbances.say_plant(plan)
                     if self.live() is None and self.form.section is not None:
                         told = self.form.restrictions.values()
-                        self.plot.update_figure(plan_figure(self.form.section, plan, told))
+                        bounds = self.form.time_bounds_s
+                        self.plot.update_figure(plan_figure(self.form.section, plan, now, bounds, told))
                         self.moment.close()
                         self.arrival.value = now
         finally:
@@ -417,6 +422,20 @@ class DrivePage:
         place = [self.from_m.number, self.to_m.number, self.kmh.number]
         if None not in place:
             ui.run_javascript(f"metropilot.draft({json.dumps(place)})")
+
+    def draw_arrival(self) -> None:
+        """Draw the arrival time of the field, which is not sent yet, on the plot of a live run."""
+        if self.live() is not None:
+            ui.run_javascript(f"metropilot.arrive({json.dumps(self.arrival.number)})")
+
+    def move_arrival(self, event: events.GenericEventArguments) -> None:
+        """Write an arrival that was dragged on the plot into the field of a live run, or the form."""
+        wanted = round(float(event.args["detail"]))
+        if self.live() is not None:
+            self.arrival.value = max(wanted, 1)
+        else:
+            least, most = self.form.time_bounds_s
+            self.form.slider.value = min(max(wanted, least), most)
 
     async def move_restriction(self, event: events.GenericEventArguments) -> None:
         """Write a restriction that was dragged on the plot into its fields."""

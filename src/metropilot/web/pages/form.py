@@ -17,7 +17,7 @@ from metropilot.units import J_PER_KWH, KMH_PER_MPS, Unit
 from metropilot.web import catalogue
 from metropilot.web.errors import Refused
 from metropilot.web.pages.frame import Problem, prop_of
-from metropilot.web.pages.numbers import NumberField
+from metropilot.web.pages.numbers import NumberField, Slider
 from metropilot.web.pages.strip import names
 from metropilot.web.schemas.requests import (
     DriveIn,
@@ -216,6 +216,7 @@ class SectionForm:
         self.service = service
         self.changed, self.moved, self.reserve = changed, moved, reserve
         self._loading, self._loaded = 0, asyncio.Event()
+        self._requests, self._proposing = 0, True
         self._refusal: MetropilotError | None = None
         self.section: dict[str, Any] | None = None
         self.line = catalogue.line_out(service, "yizhuang")
@@ -228,6 +229,11 @@ class SectionForm:
     def time_s(self) -> float:
         """Running time of the slider, s."""
         return float(self.slider.value or 0.0)
+
+    @property
+    def time_bounds_s(self) -> tuple[float, float]:
+        """Least and greatest running time of the slider, s."""
+        return self.slider.props["min"], self.slider.props["max"]
 
     def build(self) -> None:
         """Place the fields."""
@@ -250,7 +256,7 @@ class SectionForm:
         for element in (self.line_in, self.origin_in, self.destination_in, self.trainset_in, self.load_in):
             element.props("outlined dense options-dense")
         self.time_words = ui.label(_("Running time")).classes("mp-soft mp-two")
-        self.slider = ui.slider(min=60, max=160, step=1, value=101, on_change=self._time_moved)
+        self.slider = Slider(min=60, max=160, step=1, value=101, on_change=self._time_moved)
         self.slider.props('label data-test="time"')
         self.slider.props(prop_of("aria-label", _("Scheduled running time in seconds")))
         self.restrictions.build()
@@ -355,10 +361,16 @@ class SectionForm:
             raise self._refusal or Refused("choose a section first", 422, field="origin")
         return self.section
 
-    async def load(self) -> None:
-        """Request the section and bound the slider by its minimum running time."""
+    async def load(self, *, same_time: bool = False) -> None:
+        """Request the section and bound the slider by its minimum running time.
+
+        Args:
+            same_time: Leave the running time as it is, where it is possible; else propose one.
+        """
         self._loaded.clear()
         self._loading += 1
+        # until a section is there: what asks for the same time meanwhile has none that is the section's
+        self._proposing = self._proposing or not same_time
         try:
             found = await self._request()
         finally:
@@ -371,19 +383,28 @@ class SectionForm:
     async def _request(self) -> bool:
         self.problem.clear()
         body = {**self.values(), "time_s": None}
+        self._requests += 1
+        request = self._requests
+        found, refusal = None, None
         try:
-            self.section = await self.service.section(validate(PlanIn, body))
+            found = await self.service.section(validate(PlanIn, body))
         except MetropilotError as error:
-            self.section, self._refusal = None, error
-            self.problem.show(error)
+            refusal = error
+        if request != self._requests:  # the fields have changed meanwhile
+            return False
+        self.section, self._refusal = found, refusal
+        if refusal is not None:
+            self.problem.show(refusal)
+        if self.section is None:
             return False
         least = math.ceil(self.section["minimum_running_time_s"])
         most = math.ceil(SLOWEST * least)
         slow = round(self.reserve * self.section["minimum_running_time_s"])
         proposed = max(self.section["planned_time_s"] or math.ceil(1.12 * least), slow)
-        planned = self._restored_s or proposed
+        # the slider may have been moved while the section was computed
+        planned = self._restored_s or (proposed if self._proposing else self.time_s)
         least, most = min(least, math.floor(planned)), max(most, math.ceil(planned))
-        self._restored_s = None
+        self._restored_s, self._proposing = None, False
         self._filling = True
         self.slider.props["min"], self.slider.props["max"] = least, most
         self.slider.value = min(max(planned, least), most)
@@ -436,13 +457,15 @@ class SectionForm:
     def _refresh(self) -> Awaitable[None] | None:
         return self.load() if self._changed_by_hand() else None
 
-    async def _replan(self) -> None:
+    def _replan(self) -> Awaitable[None] | None:
+        # told at once, not when it is awaited: by then the form is filled
+        return None if self._filling else self._load_at_same_time()
+
+    async def _load_at_same_time(self) -> None:
         """Load the section anew with other restrictions, or another objective, at the same time."""
-        if not self._filling:
-            self._restored_s = self.time_s
-            await self.load()
-            if self.section is not None and self.time_s < self.section["minimum_running_time_s"]:
-                self.slider.value = math.ceil(self.section["minimum_running_time_s"])
+        await self.load(same_time=True)
+        if self.section is not None and self.time_s < self.section["minimum_running_time_s"]:
+            self.slider.value = math.ceil(self.section["minimum_running_time_s"])
 
     async def move_restriction(self, k: int, place: dict[str, float]) -> None:
         """Move a restriction known before departure, and plan anew; ``place`` is as displayed."""
@@ -451,7 +474,7 @@ class SectionForm:
             self.restrictions.move(k, place)
             self._filling = False
             self.restrictions.fold.open()
-            await self._replan()
+            await self._load_at_same_time()
 
     def _time_moved(self) -> Awaitable[None] | None:
         if self._filling:
@@ -562,7 +585,7 @@ class DisturbanceForm(FoldedNumbers):
 
         with ui.element("div").classes("mp-slid"):
             field = number_field(self.kind, name, on_change=follow)
-            slider = ui.slider(min=least, max=most, step=step, value=field.value or least, on_change=slide)
+            slider = Slider(min=least, max=most, step=step, value=field.value or least, on_change=slide)
             slider.props(prop_of("aria-label", _(spec_of(self.kind, name).label)))
         return field
 

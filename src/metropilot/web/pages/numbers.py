@@ -1,4 +1,4 @@
-"""Numbers as a person types or pastes them: with the decimal mark that is theirs."""
+"""Numbers as a person types, pastes or slides them."""
 
 from __future__ import annotations
 
@@ -120,3 +120,13 @@ class NumberField(ui.number):
             if self.typed and parse_number(self.typed) == value:
                 return self.typed
         return self.typed if value is not None and math.isnan(value) else super()._value_to_model_value(value)
+
+
+class Slider(ui.slider):
+    """Slider whose place is the browser's; the server moves it only where something else changes the value.
+
+    NiceGUI's own is moved by what the server answers. An answer to a former value then comes while somebody
+    presses a key again, and takes the slider back: the next press begins there, and a step is lost.
+    """
+
+    LOOPBACK = False

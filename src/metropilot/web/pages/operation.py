@@ -27,6 +27,7 @@ from metropilot.web.pages.frame import (
     refresh_while,
     table,
 )
+from metropilot.web.pages.numbers import Slider
 from metropilot.web.pages.plots import headways_figure, operation_figure
 from metropilot.web.pages.running import RunningCard
 from metropilot.web.schemas.requests import OperationIn
@@ -108,7 +109,7 @@ class OperationPage:
             for name, element in fields.items():
                 self.problem.beside(name, element.props("outlined dense options-dense"))
             with ui.element("div").classes("mp-stack") as self.periodic:
-                self.slider = ui.slider(
+                self.slider = Slider(
                     min=SHORTEST_S, max=LONGEST_S, step=5, value=180, on_change=self.drag
                 ).props('label data-test="headway"')
                 self.slider.props(prop_of("aria-label", _("Headway in seconds")))
@@ -216,8 +217,10 @@ class OperationPage:
 
         One that was dragged to before and still waits is left out.
         """
-        # the event is sooner here than the last change of the value, which is slowed down
-        self.slider.value = event.args
+        # the event is sooner here than the last change of the value, which is slowed down; the slider itself
+        # may be further by now and is left where it is
+        self.headway.value = event.args
+        self.show()
         if not self.found:
             return
         if self.dragged in self.jobs and self.service.store.job(self.dragged).status == "queued":

@@ -107,8 +107,18 @@ def stairs(
 
 
 def run_figure() -> Figure:
-    """Figure of a live run, filled by the browser: speed, limit, permitted speed, plan; command; energy."""
-    below = {"hoverinfo": "skip", "showlegend": False}
+    """Figure of a live run, filled by the browser: speeds and plan; command; time; energy."""
+    head = {
+        "type": "scatter",
+        "mode": "markers",
+        "x": [],
+        "y": [],
+        "marker": {"size": 10, "color": BLUE, "line": {"width": 2, "color": "#fff"}},
+        "hoverinfo": "skip",
+        "showlegend": False,
+    }
+    bar = {"mode": "lines+text", "textposition": "middle left", "textfont": {"size": 11}, "yaxis": "y4"}
+    bar |= {"cliponaxis": False, "showlegend": False}
     traces = [
         line(_("speed limit"), [], [], BLACK, width=1.4, shape="hv"),
         line(_("permitted speed"), [], [], ORANGE, width=1.6, dash="dash"),
@@ -122,52 +132,66 @@ def run_figure() -> Figure:
             "y": [],
             "marker": {"symbol": "triangle-down", "size": 10, "color": VERMILION},
         },
-        {
-            "type": "scatter",
-            "mode": "markers",
-            "x": [],
-            "y": [],
-            "marker": {"size": 10, "color": BLUE, "line": {"width": 2, "color": "#fff"}},
-            **below,
-        },
+        head,
         line(_("command"), [], [], BLUE, width=1.4, shape="hv", fill="tozeroy", yaxis="y2", showlegend=False),
         line(_("plan's energy"), [], [], SKY, width=6.0, opacity=0.65, yaxis="y3", showlegend=False),
         line(_("energy at the wheel"), [], [], BLUE, yaxis="y3", showlegend=False),
         line(_("net at the line"), [], [], GREY, width=1.4, dash="dash", yaxis="y3"),
         line(_("plan of the true plant"), [], [], GREEN, dash="dash"),
         line(_("energy of the true plant"), [], [], GREEN, dash="dash", yaxis="y3", showlegend=False),
+        line(_("optimal plan"), [], [], SKY, width=6.0, opacity=0.65, yaxis="y4", showlegend=False),
+        line(_("driven"), [], [], BLUE, width=2.2, yaxis="y4", showlegend=False),
+        line(_("plan of the true plant"), [], [], GREEN, dash="dash", yaxis="y4", showlegend=False),
+        {**head, "yaxis": "y4"},
+        line(_("scheduled arrival"), [], [], BLACK, width=3.0, **bar),
+        line(_("not sent yet"), [], [], VERMILION, dash="dot", width=3.0, **bar),
     ]
     return figure(
         traces,
-        560,
+        690,
         xaxis=axis(_("distance (m)"), anchor="y3"),
-        yaxis=axis(_("speed (km/h)"), domain=[0.46, 1.0], rangemode="tozero"),
+        yaxis=axis(_("speed (km/h)"), domain=[0.578, 1.0], rangemode="tozero"),
+        yaxis4=axis(_("time (s)"), domain=[0.206, 0.395], rangemode="tozero"),
         yaxis2=axis(
             _("command"),
-            domain=[0.29, 0.41],
+            domain=[0.438, 0.533],
             range=[-1.1, 1.1],
             tickvals=[-1, 0, 1],
             ticktext=[_("brake"), "", _("power")],
         ),
-        yaxis3=axis(_("energy (kWh)"), domain=[0.0, 0.24], rangemode="tozero"),
+        yaxis3=axis(_("energy (kWh)"), domain=[0.0, 0.163], rangemode="tozero"),
     ) | {"config": {**CONFIG, "edits": {"shapePosition": True}}}
 
 
 ROW = "restriction-"
 """Beginning of the name of the rectangle of a restriction in the form; static/moments.js has it, too."""
+BAR = 0.9
+"""Begin of the bar of the arrival, which ends with the section, as a share of it; static/live.js has it."""
+HEADROOM = 1.15
+"""Top of the lane of time over the latest time that it shows."""
 
 
 def plan_figure(
-    section: dict[str, Any], plan: dict[str, Any], restrictions: Sequence[Mapping[str, float | None]] = ()
+    section: dict[str, Any],
+    plan: dict[str, Any],
+    time_s: float,
+    bounds_s: tuple[float, float],
+    restrictions: Sequence[Mapping[str, float | None]] = (),
 ) -> Figure:
-    """Figure of a run before departure: the limit, the optimal plan, restrictions that can be dragged.
+    """Figure of a run before departure: the limit, the optimal plan, restrictions and arrival to be dragged.
 
     Args:
         section: Values of :class:`metropilot.web.schemas.responses.SectionOut`.
         plan: Values of :class:`metropilot.web.schemas.responses.PlansOut`.
+        time_s: Scheduled running time.
+        bounds_s: Least and greatest running time to which the arrival can be dragged.
         restrictions: Those of the form: ``from_m``, ``to_m``, ``limit_mps``.
     """
     made = run_figure()
+    end = section["length_m"]
+    _place_arrival(made, time_s, end, bounds_s[1])
+    told = {"time_s": time_s, "from_m": BAR * end, "to_m": end}
+    made["layout"]["meta"] = {"arrival": {**told, "least_s": bounds_s[0], "most_s": bounds_s[1]}}
     top = 1.1 * KMH_PER_MPS * max(section["limit_mps"]["value"])
     made["layout"]["shapes"] = [
         {
@@ -186,10 +210,12 @@ def plan_figure(
         0: stairs(section["limit_mps"], section["length_m"], KMH_PER_MPS),
         2: (plan["position_m"], kmh(plan["speed_mps"])),
         7: (plan["position_m"], kwh(plan["energy_wheel_so_far_j"])),
+        12: (plan["position_m"], plan["time_s"]),
     }
     if (plant := plan.get("plant")) is not None:
         values[10] = (plant["position_m"], kmh(plant["speed_mps"]))
         values[11] = (plant["position_m"], kwh(plant["energy_wheel_so_far_j"]))
+        values[14] = (plant["position_m"], plant["time_s"])
     return _fill(made, values)
 
 
@@ -208,11 +234,26 @@ def drive_figure(driven: dict[str, Any]) -> Figure:
         6: (at, columns["command"]),
         8: (at, kwh(columns["energy_wheel_j"])),
         9: (at, kwh(columns["energy_line_j"])),
+        13: (at, columns["time_s"]),
     }
+    end = float(at[-1])
     if plan is not None:
         values[2] = (plan["position_m"], kmh(plan["speed_mps"]))
         values[7] = (plan["position_m"], kwh(plan["energy_wheel_so_far_j"]))
-    return _fill(run_figure(), values)
+        values[12] = (plan["position_m"], plan["time_s"])
+        end = plan["position_m"][-1]
+    made, scheduled = run_figure(), driven["kpis"]["scheduled_time_s"]
+    _place_arrival(made, scheduled, end, max(scheduled, columns["time_s"][-1]))
+    return _fill(made, values)
+
+
+def _place_arrival(made: Figure, time_s: float, end_m: float, latest_s: float) -> None:
+    """Place the bar of the scheduled arrival at the end of a section, in a lane up to a time."""
+    words = _("scheduled {time} s", time=f"{time_s:g}")
+    made["data"][16] |= {"x": [BAR * end_m, end_m], "y": [time_s, time_s], "text": [f"{words}\u00a0", ""]}
+    made["layout"]["yaxis4"]["range"] = [0, HEADROOM * latest_s]
+    # as of a live run; by itself the axis leaves room for the words
+    made["layout"]["xaxis"]["range"] = [-0.01 * end_m, 1.02 * end_m]
 
 
 def _fill(made: Figure, values: Mapping[int, tuple[Sequence[Any], Sequence[Any]]]) -> Figure:

@@ -2,6 +2,8 @@
 (() => {
   const KMH = 3.6, KWH = 3.6e6, RENEW_MS = 800, STEP = 0.1;
   const LIMIT = 0, PERMITTED = 1, PLAN = 2, DRIVEN = 3, PROTECTION = 4, HEAD = 5, COMMAND = 6, PLAN_ENERGY = 7, WHEEL = 8, LINE = 9;
+  const PLAN_TIME = 12, TIME = 13, TIME_HEAD = 15, ARRIVAL = 16, WISH = 17;
+  const BAR = 0.9, ROOM = 1.5, GROW = 1.25;
 
   const post = (path, body, leaving) => fetch(path, {
     method: "POST", headers: { "Content-Type": "application/json" }, body: JSON.stringify(body), keepalive: leaving,
@@ -15,6 +17,7 @@
       super(root, id, chart);
       this.moments = new MetropilotMoments(root, chart);
       this.share = null; this.confirmed = false; this.other = null;
+      this.wish = null; this.latest = 0;
       // While a rectangle is dragged nothing is drawn, which would take it from the hand.
       this.onhold = (e) => { this.held = e.type === "pointerdown" && Boolean(e.target.closest(".mp-along .shapelayer")); };
       for (const name of ["pointerdown", "pointerup", "pointercancel"]) document.addEventListener(name, this.onhold, true);
@@ -32,7 +35,10 @@
     }
 
     on_scene(scene) {
+      const before = this.now;
       super.on_scene(scene);
+      if (before && this.wish === before.scheduled_time_s) this.wish = null;  // it was no wish, but in force
+      this.latest = Math.max(this.latest, ROOM * scene.scheduled_time_s);
       this.set("scheduled", scene.scheduled_time_s.toFixed(0), "s");
       const mine = scene.lever !== null && scene.lever.holder === HOLDER;
       this.other = mine ? null : scene.lever;
@@ -43,14 +49,33 @@
         const end = scene.length_m, limit = scene.limit;
         const xs = [...limit.from_m.map((x) => Math.max(x, 0)), end], ys = limit.limit_mps.map((v) => v * KMH);
         ys.push(ys[ys.length - 1]);
-        const plan = scene.plan || { position_m: [], speed_mps: [] }, reference = scene.reference || { position_m: [], energy_wheel_j: [] };
+        const plan = scene.plan || { position_m: [], speed_mps: [], time_s: [] }, reference = scene.reference || { position_m: [], energy_wheel_j: [] };
         const top = Math.max(...ys) * 1.1;
-        Plotly.restyle(el, { x: [xs, scene.permitted.position_m, plan.position_m, reference.position_m],
-          y: [ys, scene.permitted.speed_mps.map((v) => v * KMH), plan.speed_mps.map((v) => v * KMH), reference.energy_wheel_j.map((j) => j / KWH)],
-        }, [LIMIT, PERMITTED, PLAN, PLAN_ENERGY]);
+        Plotly.restyle(el, { x: [xs, scene.permitted.position_m, plan.position_m, reference.position_m, plan.position_m],
+          y: [ys, scene.permitted.speed_mps.map((v) => v * KMH), plan.speed_mps.map((v) => v * KMH), reference.energy_wheel_j.map((j) => j / KWH), plan.time_s],
+        }, [LIMIT, PERMITTED, PLAN, PLAN_ENERGY, PLAN_TIME]);
         Plotly.relayout(el, { "xaxis.range": [-0.01 * end, 1.02 * end], "yaxis.range": [0, top],
           shapes: this.shapes(scene, top) });
+        this.bars(Plotly, el);
       });
+    }
+
+    // The scheduled arrival, and the one of the field, not sent yet, which can be dragged as far as the lane goes.
+    bars(Plotly, el) {
+      const { length_m: end, scheduled_time_s: scheduled } = this.now, at = [BAR * end, end];
+      const wish = this.over || this.wish === null || this.wish === scheduled ? null : this.wish;
+      const words = metropilotSay("scheduled {time} s", { time: +scheduled.toFixed(1) }) + "\u00a0", drawn = wish !== null;
+      const hint = drawn ? `${+wish.toFixed(1)} s: ${metropilotSay("not sent yet")}\u00a0` : "", later = drawn && wish > scheduled;
+      Plotly.restyle(el, { x: [at, drawn ? at : []], y: [[scheduled, scheduled], drawn ? [wish, wish] : []], text: [[words, ""], [hint, ""]],
+        textposition: drawn ? (later ? ["bottom left", "top left"] : ["top left", "bottom left"]) : "middle left" }, [ARRIVAL, WISH]);
+      const arrival = { time_s: drawn ? wish : scheduled, from_m: at[0], to_m: at[1], least_s: 1, most_s: Math.floor(this.latest) };
+      Plotly.relayout(el, { "yaxis4.range": [0, this.latest], meta: this.over ? {} : { arrival } });
+    }
+
+    arrive(time_s) {
+      this.wish = time_s;
+      if (time_s > this.latest) this.latest = GROW * time_s;
+      if (this.now && !this.over) this.draw((Plotly, el) => this.bars(Plotly, el));
     }
 
     // Restrictions in force stay where they are; the one of the fields, not sent yet, can be dragged.
@@ -82,7 +107,7 @@
         : metropilotSay("ended: {outcome}", { outcome: metropilotRetell((this.outcome || "").replaceAll("_", " ")) });
       this.over = true; this.drop();
       super.on_end(said, { done });
-      if (this.now) this.draw((Plotly, el) => Plotly.relayout(el, { shapes: this.shapes(this.now, el.layout.yaxis.range[1]) }));
+      if (this.now) this.draw((Plotly, el) => { Plotly.relayout(el, { shapes: this.shapes(this.now, el.layout.yaxis.range[1]) }); this.bars(Plotly, el); });
       if (this.now) this.moments.offer(this.now, this.kept);
       this.root.dispatchEvent(new CustomEvent("mp-end", { detail: said.status, bubbles: true }));
     }
@@ -159,15 +184,16 @@
         const hit = fresh.filter((r, k) => r.level && !((k ? fresh[k - 1] : this.before) || {}).level);
         this.before = fresh[fresh.length - 1] || this.before;
         if (fresh.length) Plotly.extendTraces(el, {
-          x: [xs, xs, xs, xs, hit.map((r) => r.position_m)],
-          y: [fresh.map((r) => r.speed_mps * KMH), fresh.map((r) => r.command), fresh.map((r) => r.energy_wheel_j / KWH), fresh.map((r) => r.energy_line_j / KWH), hit.map((r) => r.speed_mps * KMH)],
-        }, [DRIVEN, COMMAND, WHEEL, LINE, PROTECTION]);
-        Plotly.restyle(el, { x: [[last.position_m]], y: [[last.speed_mps * KMH]] }, [HEAD]);
+          x: [xs, xs, xs, xs, xs, hit.map((r) => r.position_m)],
+          y: [fresh.map((r) => r.speed_mps * KMH), fresh.map((r) => r.command), fresh.map((r) => r.energy_wheel_j / KWH), fresh.map((r) => r.energy_line_j / KWH), fresh.map((r) => r.time_s), hit.map((r) => r.speed_mps * KMH)],
+        }, [DRIVEN, COMMAND, WHEEL, LINE, TIME, PROTECTION]);
+        Plotly.restyle(el, { x: [[last.position_m], [last.position_m]], y: [[last.speed_mps * KMH], [last.time_s]] }, [HEAD, TIME_HEAD]);
+        if (last.time_s > this.latest) { this.latest = GROW * last.time_s; this.bars(Plotly, el); }
       });
     }
   }
 
-  let view = null, past = null;
+  let view = null, past = null, handle = null;
   window.metropilot = {
     // The moments of a run that was over before the page was opened.
     past(rootId, chart, scene) {
@@ -190,6 +216,11 @@
       history.replaceState(null, "", `/?run=${id}`);
       view.set("status", metropilotSay("under way"));
       view.shown();
+    },
+    arrive(time_s) { if (view && !view.over) view.arrive(time_s); },
+    arrival(rootId, chart) {
+      if (!handle) handle = new MetropilotArrival(document.getElementById(rootId), chart);
+      handle.place();
     },
     draft(place) { if (view && !view.over) view.propose(place); },
     drag(rootId, chart, changes) {

@@ -1,6 +1,6 @@
 // One moment of a run: its numbers, the trainset on the strip, a cursor on every plot over distance.
 (() => {
-  const KMH = 3.6, KWH = 3.6e6, HEAD = 5, CURSOR = "moment", ROW = "restriction-", DRAFT = "draft";
+  const KMH = 3.6, KWH = 3.6e6, HEAD = 5, TIME_HEAD = 15, CURSOR = "moment", ROW = "restriction-", DRAFT = "draft";
   const GRID_M = 10, GRID_KMH = 5;
 
   const snapped = (value, grid) => Math.round(value / grid) * grid;
@@ -123,7 +123,7 @@
         if (!el.layout) continue;
         const shapes = (el.layout.shapes || []).filter((shape) => shape.name !== CURSOR);
         if (row) shapes.push({ type: "line", name: CURSOR, layer: "below", xref: "x", yref: "paper", x0: row.position_m, x1: row.position_m, y0: 0, y1: 1, line: { color: "#7a8793", width: 1.5 } });
-        if (row && el.id === "c" + this.chart) Plotly.update(el, { x: [[row.position_m]], y: [[row.speed_mps * KMH]] }, { shapes }, [HEAD]);
+        if (row && el.id === "c" + this.chart) Plotly.update(el, { x: [[row.position_m], [row.position_m]], y: [[row.speed_mps * KMH], [row.time_s]] }, { shapes }, [HEAD, TIME_HEAD]);
         else Plotly.relayout(el, { shapes });
       }
     }

@@ -11,6 +11,7 @@ SCRIPTS = (
     N_("under way"),
     N_("paused"),
     N_("not sent yet"),
+    N_("scheduled {time} s"),
     N_("Pause (space)"),
     N_("Go on (space)"),
     N_("watching"),

@@ -349,6 +349,11 @@ SENTENCES = (
     N_("the job is a {kind}, no line in operation"),
     N_("the job is a {kind}"),
     N_("{name} reads only"),
+    N_("{name} has {count} jobs that wait or run; stop one, or wait"),
+    N_("{name} keeps {size} MB of runs and uploads; delete some"),
+    N_("{name} keeps {size} MB of runs and uploads, {more} MB more do not fit; delete some"),
+    N_("at most {count}"),
+    N_("at most {size} MB"),
     N_("{first} or {second}"),
     N_("took longer than {time} s; use a smaller request"),
 )
