@@ -214,6 +214,7 @@ def test_a_restriction_is_dragged_on_the_way(visit):
     page.locator('[data-test="restrict"]').click()
     expect(page.locator('[data-mp="log"]')).to_contain_text("30 km/h from 800 to 1000 m")
     expect(page.locator(".mp-restrictions rect")).to_have_count(1)
+    page.wait_for_function(f"!{PLOT}.layout.shapes.some(s => s.name === 'draft')")
     at = float(live.get_attribute("data-time") or 0)
     page.wait_for_function(f"document.querySelector('[data-test=live]').dataset.time > {at + 0.5}")
     page.locator('[data-test="stop"]').click()

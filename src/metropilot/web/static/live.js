@@ -82,7 +82,8 @@
     shapes(scene, top) {
       const box = (from, to, kmh) => ({ type: "rect", xref: "x", yref: "y", x0: from, x1: to, y0: kmh, y1: top, fillcolor: "rgba(213,94,0,.22)", line: { width: 0 } });
       const force = scene.restrictions.map((r) => ({ ...box(r.from_m, r.to_m, r.limit_mps * KMH), layer: "below" }));
-      if (!this.draft || this.over) return force;
+      const sent = ([from, to, kmh]) => force.some((box) => box.x0 === from && box.x1 === to && Math.abs(box.y0 - kmh) < 0.05);
+      if (!this.draft || this.over || sent(this.draft)) return force;
       const label = { text: metropilotSay("not sent yet"), textposition: "top center", font: { size: 11 } };
       return [...force, { ...box(...this.draft), name: "draft", fillcolor: "rgba(213,94,0,.08)", line: { width: 1.5, color: "#d55e00", dash: "dot" }, label }];
     }
