@@ -63,7 +63,7 @@ def test_a_run_from_departure_to_kpis(visit):
     result = page.locator('[data-test="result"]')
     expect(result.get_by_text("stops at the mark")).to_be_visible()
     expect(result.get_by_text("✓ passed")).to_have_count(5)
-    expect(result.get_by_text("above the optimum")).to_be_visible()
+    expect(result.get_by_text("above the optimum", exact=True)).to_be_visible()
     assert number(page, "time") == pytest.approx(101, abs=3)
     assert number(page, "distance") == pytest.approx(0, abs=0.3)
     assert count_points(page, "driven") > 400
