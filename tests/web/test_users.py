@@ -335,7 +335,7 @@ def kept_in(service):
 
 
 @pytest.fixture
-def packed(tmp_path):
+def project_archive(tmp_path):
     """An archive, and its size when it is kept."""
     with answer_to(User("otto")):
         return archive(Service(Settings(data=tmp_path / "first")))
@@ -345,8 +345,8 @@ def take(service, content):
     return asyncio.run(projects.read_archive(service, content))
 
 
-def test_an_archive_counts_as_what_it_unpacks_to(tmp_path, packed):
-    content, size = packed
+def test_an_archive_counts_as_what_it_unpacks_to(tmp_path, project_archive):
+    content, size = project_archive
     assert 5 * len(content) < size
     with answer_to(User("anna")):
         exact = Service(Settings(data=tmp_path / "exact", user_bytes=size))
@@ -364,8 +364,8 @@ def test_an_archive_counts_as_what_it_unpacks_to(tmp_path, packed):
             take(exact, content)
 
 
-def test_imports_at_once_do_not_pass_the_limit_together(tmp_path, packed):
-    content, size = packed
+def test_imports_at_once_do_not_pass_the_limit_together(tmp_path, project_archive):
+    content, size = project_archive
     service = Service(Settings(data=tmp_path / "second", user_bytes=2 * size))
     found = at_once(6, User("anna"), lambda _: take(service, content))
     assert sum(not isinstance(each, Refused) for each in found) == 2
@@ -376,7 +376,7 @@ def test_imports_at_once_do_not_pass_the_limit_together(tmp_path, packed):
     assert len([place for place in places if place.startswith("uploads/")]) == 4
 
 
-def test_an_import_that_fails_half_way_leaves_nothing(tmp_path, packed, monkeypatch):
+def test_an_import_that_fails_half_way_leaves_nothing(tmp_path, project_archive, monkeypatch):
     service = Service(Settings(data=tmp_path / "third"))
     (tmp_path / "third" / "uploads").mkdir()
     before = kept_in(service)
@@ -387,5 +387,5 @@ def test_an_import_that_fails_half_way_leaves_nothing(tmp_path, packed, monkeypa
 
     monkeypatch.setattr(JobStore, "set_project", fail)
     with pytest.raises(OSError, match="no space"):
-        take(service, packed[0])
+        take(service, project_archive[0])
     assert kept_in(service) == before

@@ -46,7 +46,7 @@ CATCH_PER_S = 1.0
 APPROACH_S = 1.25
 """Time in which a gap below the speed to hold is closed."""
 LEAST_SQUARE = 1e-12
-"""Square of an acceleration that is none."""
+"""Least squared acceleration that a root is taken of, m^2/s^4: small enough to change no value."""
 EASE_SHARE = 0.4
 """Jerk at which traction is reduced before a speed is reached, over the trainset's jerk limit."""
 REACTION_S = 1.0

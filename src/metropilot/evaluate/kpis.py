@@ -285,6 +285,9 @@ def _against(drive: Drive, optimum: Optimum | None, objective: Objective) -> dic
     return found
 
 
+ATTAINABLE = "with jerk limit, dead time, lag and protection"
+
+
 class KpiRow(NamedTuple):
     """Row of the table of main KPIs.
 
@@ -303,7 +306,7 @@ def kpi_rows(kpis: Mapping[str, Any]) -> list[KpiRow]:
     """Rows of the main KPIs, as command line, console and reports show them.
 
     Args:
-        kpis: Values of :meth:`Kpis.as_dict`, as ``kpis.json`` holds them; some may lack in an older run.
+        kpis: Values of :meth:`Kpis.as_dict`, as ``kpis.json`` holds them; some are missing of an older run.
     """
 
     def value(name: str, digits: int, unit: str = "") -> str:
@@ -338,9 +341,6 @@ def kpi_rows(kpis: Mapping[str, Any]) -> list[KpiRow]:
         ("decision time", value("decision_time_us_median", 0, "µs"), "median"),
     ]
     return [KpiRow(*row) for row in rows]
-
-
-ATTAINABLE = "with jerk limit, dead time, lag and protection"
 
 
 def _times(kpis: Mapping[str, Any]) -> str:

@@ -207,7 +207,7 @@ class ClosedLoop:
         @jax.checkpoint
         def one(now: _Moving, _: None) -> tuple[_Moving, None]:
             now = within_worth(now, joule)
-            # a drive that is done rests near its stop, where features have no slope: it is led from its start
+            # the unused step of a drive that is done begins at its start: at the stop slopes are infinite
             still = jax.tree.map(lambda first, old: jnp.where(now.done, first, old), moving, now)
             after = self._step(decide, params, begin, case, still)
             return jax.tree.map(lambda old, new: jnp.where(now.done, old, new), now, after), None

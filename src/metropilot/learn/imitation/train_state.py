@@ -97,14 +97,13 @@ def imitation_loss(
 def round_weights(params: Params) -> dict[str, ndarray]:
     """Parameters with the weights of the layers rounded to the upper half of single precision.
 
-    Eight significant bits (bfloat16): a controller stores a weight in two bytes, and drives do not change by
-    more than they scatter.
+    Eight significant bits (bfloat16): a controller stores a weight in two bytes (decision 0020).
     """
 
-    def rounded(value: Array) -> ndarray:
+    def round_value(value: Array) -> ndarray:
         return np.asarray(value.astype(jnp.bfloat16).astype(value.dtype) if value.ndim > 1 else value)
 
-    return {name: rounded(jnp.asarray(value)) for name, value in params.items()}
+    return {name: round_value(jnp.asarray(value)) for name, value in params.items()}
 
 
 def apply_gradient(
