@@ -1721,10 +1721,10 @@ class Projects:
         self.connection.send("DELETE", f"/api/projects/{quote(str(project_id), safe='')}", {})
 
     def write_files(self, project_id: str) -> bytes:
-        """A project as one archive: runs with their files, lines and trainsets in every version,
+        """A project as one archive: jobs with their files, lines and trainsets in every version,
         notes.
 
-        Learning runs, studies and campaigns, and what still runs, are left out.
+        Lines, trainsets, logs and policies that its jobs name go with it; what still runs is left out.
         """
         return self.connection.send("GET", f"/api/projects/{quote(str(project_id), safe='')}/archive", {})
 

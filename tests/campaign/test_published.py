@@ -3,13 +3,25 @@
 import json
 from pathlib import Path
 
+import duckdb
 import pytest
 
-from metropilot.campaign import PUBLISHED, publish_rows, published_rows, read_campaign, run_campaign
+from metropilot.campaign import (
+    PUBLISHED,
+    CampaignRows,
+    campaign_from_values,
+    publish_rows,
+    published_rows,
+    read_campaign,
+    restore_rows,
+    run_campaign,
+)
+from metropilot.campaign.declared import seed_of
 from metropilot.campaign.leaderboard import _table
 from metropilot.campaign.rows import request_of_row
 from metropilot.cli import main
 from metropilot.errors import InputError
+from metropilot.railway import document_text
 from metropilot.sim import drive
 from metropilot.units import J_PER_KWH
 
@@ -94,3 +106,41 @@ def test_rows_are_published_with_their_campaign(tmp_path, monkeypatch, capsys):
         main(["campaign", "example", "--write-rows", "rows.csv", "--json"])
     assert refused.value.code == 2
     assert json.loads(capsys.readouterr().out)["error"]["field"] == "write-rows"
+
+
+def test_a_campaign_goes_on_from_the_rows_of_another_folder(tmp_path):
+    """With its line elsewhere: same digest, same seeds, the same bytes in every shard."""
+    text = document_text("line", "yizhuang")
+    campaigns = []
+    for name in ("here", "there"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "mine.toml").write_text(text)
+        values = {"drivers": ["flat_out"], "sections": [f"{tmp_path / name / 'mine.toml'} RJ WYJ"]}
+        values |= {"loads": ["AW2"], "times": [1.3], "seeds": 3}
+        noisy = [{"name": "heavy", "mass_factor": [1.0, 1.2]}]
+        told = {"name": "moved", "matrix": values, "disturbance": noisy}
+        campaigns.append(campaign_from_values(tmp_path / "moved.toml", told))
+    here, there = campaigns
+    assert here.digest == there.digest
+    assert [seed_of(c, c.case(2)) for c in campaigns] == [seed_of(here, here.case(2))] * 2
+    run_campaign(here, tmp_path / "a", workers=1)
+    shown, path = CampaignRows(tmp_path / "a", here), tmp_path / "rows.parquet"
+    shown.write(path, {str(tmp_path / "here"): "upload-1"})
+    names = {"upload-1": str(tmp_path / "there")}
+    assert restore_rows(there, tmp_path / "b", path, names) == 3
+    assert run_campaign(there, tmp_path / "b", workers=1).driven == 0
+    rows = [CampaignRows(tmp_path / folder, c).find()[1] for folder, c in (("a", here), ("b", there))]
+    assert [row["line"] for row in rows[1]] == [str(tmp_path / "there" / "mine.toml")] * 3
+    assert [row | {"line": ""} for row in rows[0]] == [row | {"line": ""} for row in rows[1]]
+    # a shard that is not whole is left out, and computed again
+    with duckdb.connect() as database:
+        database.execute(f"COPY (SELECT * FROM '{path}' WHERE row < 2) TO '{tmp_path / 'two.parquet'}'")
+        database.execute(f"COPY (SELECT 1 AS row) TO '{tmp_path / 'other.parquet'}'")
+    assert restore_rows(there, tmp_path / "c", tmp_path / "two.parquet", names) == 2
+    assert run_campaign(there, tmp_path / "c", workers=1).driven == 1
+    again = CampaignRows(tmp_path / "c", there).find()[1][2]
+    assert again["energy_wheel_kwh"] == rows[0][2]["energy_wheel_kwh"]
+    with pytest.raises(InputError, match="not the rows of a campaign"):
+        restore_rows(there, tmp_path / "d", tmp_path / "other.parquet", names)
+    (tmp_path / "there" / "mine.toml").write_text(text + "# changed\n")
+    assert here.digest != there.digest

@@ -17,6 +17,7 @@ from .published import PUBLISHED as PUBLISHED
 from .published import CampaignRows as CampaignRows
 from .published import publish_rows as publish_rows
 from .published import published_rows as published_rows
+from .published import restore_rows as restore_rows
 from .published import rows_of_folder as rows_of_folder
 from .reading import CampaignFile as CampaignFile
 from .reading import campaign_from_toml as campaign_from_toml

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple
 import numpy as np
 
 from metropilot._schema import field_specs
-from metropilot.campaign.matrix import DRIVES, AbstractCampaign, CellRow, count_axes
+from metropilot.campaign.matrix import DRIVES, AbstractCampaign, CellRow, content_key, count_axes
 from metropilot.drivers import DRIVERS, AbstractPolicyDriver
 from metropilot.evaluate import RunSpec, parse_driver
 from metropilot.planning import Objective
@@ -261,8 +261,10 @@ class Campaign(AbstractCampaign):
 
     @property
     def identity(self) -> str:
-        """The text without drivers."""
-        return replace(self, drivers=()).text
+        """The text without drivers, and with the content of files instead of their paths."""
+        sections = tuple((content_key(line), start, end) for line, start, end in self.sections)
+        trainsets = tuple((content_key(name), load) for name, load in self.trainsets)
+        return replace(self, drivers=(), sections=sections, trainsets=trainsets).text
 
     @property
     def columns(self) -> Mapping[str, str]:
@@ -350,9 +352,10 @@ def _in_turn(groups: list[np.ndarray], count: int) -> np.ndarray:
 
 def seed_of(campaign: Campaign, case: CampaignCase) -> int:
     """The seed of a row, from everything that identifies it but driver, declared actuation and period."""
-    name = str(parse_trainset(case.trainset)._replace(actuation=None))
+    name = content_key(str(parse_trainset(case.trainset)._replace(actuation=None)))
     told = DisturbanceCase(case.disturbance.name)
-    cell = case._replace(row=0, driver="", trainset=name, disturbance=told)._asdict()
+    named = {"line": content_key(case.line), "trainset": name, "disturbance": told}
+    cell = case._replace(row=0, driver="", **named)._asdict()
     del cell["period_s"]
     text = json.dumps([campaign.first_seed, cell], sort_keys=True, default=lambda d: d.name)
     return int.from_bytes(sha256(text.encode()).digest()[:8], "big") >> 1

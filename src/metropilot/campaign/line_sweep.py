@@ -21,6 +21,7 @@ from metropilot.campaign.matrix import (
     AbstractCampaign,
     CellRow,
     capture_errors,
+    content_key,
     count_axes,
     peak_memory_mb,
 )
@@ -194,8 +195,10 @@ class LineSweep(AbstractCampaign):
 
     @property
     def identity(self) -> str:
-        """The text without headways and days."""
-        return replace(self, services=()).text
+        """The text without headways and days, and with the content of files instead of their paths."""
+        lines = tuple(map(content_key, self.lines))
+        trainsets = tuple((content_key(name), load) for name, load in self.trainsets)
+        return replace(self, services=(), lines=lines, trainsets=trainsets).text
 
     @property
     def columns(self) -> Mapping[str, str]:

@@ -9,16 +9,16 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from hashlib import sha256
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import metropilot
 from metropilot._io import encode_parquet
 from metropilot._registry import Registry, RegistryRow
 from metropilot.errors import Infeasible, MetropilotError
+from metropilot.railway import parse_trainset
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from duckdb import DuckDBPyConnection
 
 FAILED, INFEASIBLE = "failed", "infeasible"
@@ -165,6 +165,20 @@ KINDS: Registry[type[AbstractCampaign]] = Registry(
     },
     "kind",
 )
+
+
+def content_key(key: str) -> str:
+    """A line or trainset as seeds and folders know it: by its id, or by the content of its file.
+
+    The same file in another place is therefore the same, and a file that was changed is not.
+
+    Args:
+        key: Id, or path of a file; of a trainset with the actuation it declares.
+    """
+    named = parse_trainset(key)
+    if not named.is_file or not Path(named.id).is_file():
+        return key
+    return str(named._replace(id=sha256(Path(named.id).read_bytes()).hexdigest()[:16]))
 
 
 def from_text(text: str) -> AbstractCampaign:

@@ -11,13 +11,14 @@ from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from metropilot._io import atomic_write
+import metropilot
+from metropilot._io import atomic_write, encode_parquet
 from metropilot._published import published_file
 from metropilot.campaign.declared import Campaign
-from metropilot.campaign.matrix import AbstractCampaign, from_text
+from metropilot.campaign.matrix import AbstractCampaign, Shard, from_text
 from metropilot.campaign.report import open_database, query_rows
 from metropilot.campaign.rows import request_of_row
-from metropilot.campaign.store import campaign_of_folder
+from metropilot.campaign.store import CampaignStore, campaign_of_folder
 from metropilot.errors import InputError
 from metropilot.evaluate import RunSpec
 
@@ -108,19 +109,24 @@ class CampaignRows:
             )
         return 0 if count is None else int(count[0]), rows
 
-    def write(self, path: Path, hidden: str = "") -> None:
+    def write(self, path: Path, names: Mapping[str, str]) -> None:
         """Write all rows as one Parquet file.
 
         Args:
             path: File to write.
-            hidden: Text that is left out of names: the folder of files.
+            names: What stands in it instead of some texts, as paths of files.
+
+        Raises:
+            InputError: Nothing is computed yet.
         """
         place = str(path).replace("'", "''")
-        names = ", ".join(f"replace({name}, ?, '') AS {name}" for name in NAMES)
+        shown = ", ".join(
+            f"{'replace(' * len(names)}{name}{', ?, ?)' * len(names)} AS {name}" for name in NAMES
+        )
         with self.open() as database:
             database.execute(
-                f"COPY (SELECT * REPLACE ({names}) FROM runs ORDER BY row) TO '{place}' (FORMAT parquet)",
-                [hidden] * len(NAMES),
+                f"COPY (SELECT * REPLACE ({shown}) FROM runs ORDER BY row) TO '{place}' (FORMAT parquet)",
+                [text for pair in names.items() for text in pair] * len(NAMES),
             )
 
     def request(self, number: int) -> RunSpec:
@@ -140,6 +146,50 @@ class CampaignRows:
                 "no such row", field="row", value=number, allowed=f"0 to {self.campaign.rows - 1}"
             )
         return request_of_row(self.campaign, rows[0])
+
+
+def restore_rows(campaign: AbstractCampaign, folder: Path, path: Path, names: Mapping[str, str]) -> int:
+    """Keep the rows of a file of :meth:`CampaignRows.write` as shards of a folder; return their number.
+
+    A campaign goes on from them. Rows of a shard that the file does not hold whole are left out.
+
+    Args:
+        campaign: The campaign.
+        folder: Folder of the shards.
+        path: The file, of which nothing is trusted.
+        names: What some texts of the file stand for, as paths of files.
+
+    Raises:
+        InputError: The file cannot be read, has other columns, or the folder cannot be written.
+    """
+    import duckdb
+
+    store, count = CampaignStore(folder, campaign), 0
+    columns = {**campaign.columns, **campaign.timing_columns}
+    cast = ", ".join(f"TRY_CAST({name} AS {kind}) AS {name}" for name, kind in columns.items())
+    query = f"SELECT {cast} FROM read_parquet(?) WHERE row BETWEEN ? AND ? ORDER BY row"
+    with duckdb.connect(config={"memory_limit": "512MB", "threads": 1}) as database:
+        for piece in campaign.pieces():
+            rows = campaign.shard(piece)
+            try:
+                found = query_rows(database, query, [str(path), rows[0], rows[-1]])
+            except duckdb.Error as error:
+                told = str(error).splitlines()[0]
+                raise InputError("not the rows of a campaign", file=path, value=told[:120]) from None
+            if len(found) != len(rows):
+                continue
+            base = campaign.groups.index(piece.group) * campaign.cells
+            for number, row in zip(rows, found, strict=True):
+                for name in NAMES:
+                    for text, meant in names.items() if row.get(name) else ():
+                        row[name] = row[name].replace(text, meant)
+                row |= {campaign.group_column: piece.group, "cell": number - base}
+            results, timings = (
+                encode_parquet(kinds, found) for kinds in (campaign.columns, campaign.timing_columns)
+            )
+            store.keep(Shard(piece, len(rows), results, timings, metropilot.__version__))
+            count += len(rows)
+    return count
 
 
 def publish_rows(folder: Path, path: Path, written: str) -> None:

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import json
 import re
+import secrets
 import shutil
 import stat
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime
 from functools import partial
@@ -17,27 +20,37 @@ from zipfile import ZIP_DEFLATED, BadZipFile, LargeZipFile, ZipFile, ZipInfo
 from pydantic import BaseModel, ValidationError
 
 from metropilot.errors import InputError
+from metropilot.policy import POLICY_FILE
 from metropilot.web.errors import Refused
 from metropilot.web.schemas.requests import (
+    CampaignIn,
     CompareIn,
     ConvoyIn,
     DriveIn,
+    ExportIn,
     FitIn,
     JourneyIn,
+    LearnIn,
     LiveIn,
     OperationIn,
     RunningLineIn,
+    StudyIn,
 )
 from metropilot.web.schemas.responses import (
+    CampaignResult,
     CompareOut,
     DriveOut,
+    ExportResult,
     FitOut,
     JourneyOut,
+    LearnResult,
     OperationOut,
     RunningLineOut,
+    StudyResult,
 )
-from metropilot.web.service import SUFFIXES, Service, live_kind
+from metropilot.web.service import SUFFIXES, Service, live_kind, request_values
 from metropilot.web.store import OVER, JobRow, JobStore, ProjectRow, new_job_id, new_upload_id
+from metropilot.web.work import campaigns, learning
 from metropilot.web.work.drives import FILES
 
 FORMAT = 1
@@ -45,6 +58,12 @@ INDEX = "project.json"
 RESULT = "result.json"
 ENTRY = re.compile(r"(jobs|uploads)/([A-Za-z0-9][A-Za-z0-9_-]{0,63})/([A-Za-z0-9][A-Za-z0-9_.-]{0,63})")
 UPLOAD = re.compile(r"upload-[0-9a-f]{8}")
+RUN = re.compile(r"([a-z][a-z0-9_]{0,40}-[0-9]{8}-[0-9]{6})-[0-9a-f]{4}")
+"""Id of a learning run."""
+NAMED = re.compile(rf"\b(?:{UPLOAD.pattern}|{RUN.pattern.replace('(', '(?:')})\b")
+"""Ids by which a request names uploads and policies."""
+SOURCE = re.compile(r"Makefile|[A-Za-z][A-Za-z0-9_]*\.(?:c|h|mjs|wasm|html|csv)")
+"""File of a driver written as C or WebAssembly."""
 VERSIONED = ("line", "trainset")
 """Kinds of uploads that are edited, each time as another version."""
 MOST_ENTRIES = 10_000
@@ -56,11 +75,12 @@ BODIES: dict[str, tuple[type[BaseModel], type[BaseModel]]] = {
     "line": (OperationIn, OperationOut),
     "fit": (FitIn, FitOut),
     "live": (LiveIn, DriveOut),
+    "campaign": (CampaignIn, CampaignResult),
+    "learn": (LearnIn, LearnResult),
+    "study": (StudyIn, StudyResult),
+    "export": (ExportIn, ExportResult),
 }
-"""Request and result of the jobs that an archive holds.
-
-Learning, studies, campaigns and exports are left out.
-"""
+"""Request and result of the jobs that an archive holds."""
 LIVE: dict[str, tuple[type[BaseModel], type[BaseModel] | None]] = {
     "run": BODIES["live"],
     "line": (RunningLineIn, RunningLineOut),
@@ -105,12 +125,18 @@ def set_project(service: Service, entry: str, project: str | None) -> None:
 def write_archive(service: Service, project: str) -> bytes:
     """Project as a ZIP archive: its index, results and files of its jobs, every version of its uploads.
 
+    Lines, trainsets, logs and policies that its jobs name go with it, filed or not.
+
     Raises:
         Refused: No such project (404), or it is too large (422).
     """
     row, made = service.store.project(project), BytesIO()
-    jobs = [each for each in service.store.jobs(limit=1000, project=project) if _is_kept(each)]
-    uploads = [each for each in service.store.uploads() if each.project == project]
+    jobs = [each for each in service.store.jobs(limit=1000, project=project) if each.status in RESTING]
+    named = set(NAMED.findall(json.dumps([job.request for job in jobs])))
+    for each in service.store.jobs("learn", limit=1000):
+        if each.run in named and each.status in RESTING and each not in jobs:
+            jobs.append(each)
+    uploads = [each for each in service.store.uploads() if each.project == project or each.id in named]
     index: dict[str, Any] = {
         "format": FORMAT,
         "name": row.name,
@@ -131,12 +157,11 @@ def write_archive(service: Service, project: str) -> bytes:
 
         for job in jobs:
             told = {name: getattr(job, name) for name in ("id", "kind", "status", "request", "words", "name")}
-            told |= {"created": job.created, "progress": job.progress}
+            told |= {"created": job.created, "progress": job.progress, "run": job.run}
             index["jobs"].append(told | {"journal": service.store.journal(job.id)})
             put(f"jobs/{job.id}/{RESULT}", json.dumps(service.store.result(job.id)).encode())
-            for path in sorted((service.root / "jobs" / job.id).glob("[!.]*")):
-                if path.is_file() and _is_file_of(job.kind, path.name):
-                    put(f"jobs/{job.id}/{path.name}", path.read_bytes())
+            for name, content in _files_of(service, job).items():
+                put(f"jobs/{job.id}/{name}", content)
         for upload in uploads:
             versions = service.store.versions(upload.id)[::-1]
             names = [f"{k}{Path(version.file).suffix}" for k, version in enumerate(versions, 1)]
@@ -147,13 +172,32 @@ def write_archive(service: Service, project: str) -> bytes:
     return made.getvalue()
 
 
+def _files_of(service: Service, job: JobRow) -> dict[str, bytes]:
+    """Files of a job in an archive, by name."""
+    folder, done = service.root / "jobs" / job.id, job.status == "done"
+    if job.kind == "learn":
+        return {} if job.run is None else learning.run_files(service.root, job.run, resumable=not done)
+    if job.kind == "campaign":
+        versions = {
+            str(service.root / "uploads" / version.file): upload.id
+            for upload in service.store.uploads()
+            for version in service.store.versions(upload.id)
+        }
+        with suppress(InputError):  # nothing to go on from: it begins again
+            values = service.campaign_values(CampaignIn.model_validate(job.request))
+            rows = campaigns.archived_rows(folder, values, service.ids() | versions, whole=done)
+            return {campaigns.RESULTS: rows}
+        return {}
+    paths = [path for path in sorted(folder.glob("[!.]*")) if path.is_file()]
+    return {path.name: path.read_bytes() for path in paths if _is_file_of(job.kind, path.name)}
+
+
 def _is_file_of(kind: str, name: str) -> bool:
     """Tell whether a file belongs to a job: one of its kind, or a copy of a file that its run.toml names."""
+    if kind in {"learn", "study", "export"}:
+        known = learning.run_file_names(resumable=True) if kind == "learn" else ()
+        return name in known or (kind == "export" and SOURCE.fullmatch(name) is not None)
     return name in FILES[kind] or name.endswith((".toml", ".safetensors"))
-
-
-def _is_kept(row: JobRow) -> bool:
-    return row.kind in BODIES and row.status in RESTING
 
 
 async def read_archive(service: Service, content: bytes) -> ProjectRow:
@@ -176,15 +220,14 @@ async def read_archive(service: Service, content: bytes) -> ProjectRow:
     places: list[Path] = []
     try:
         sent = [await _take_upload(service, each, files, ids, places) for each in _rows(uploads, "uploads")]
-        made = [_take_job(each, files, ids, f"jobs[{k}]") for k, each in enumerate(_rows(jobs, "jobs"))]
-        keys: dict[str, ArchivedJob] = {}
-        for job in made[::-1]:
-            key = new_job_id(job.kind)
-            while key in keys:  # many at once may draw the same random part
-                key = new_job_id(job.kind)
-            keys[key] = job
-            places.append(service.root / "jobs" / key)
-            job.write(places[-1])
+        found = _rows(jobs, "jobs")
+        ids |= {run: _new_run_id(run) for each in found if RUN.fullmatch(run := str(each.get("run")))}
+        made = [_take_job(each, files, ids, f"jobs[{k}]") for k, each in enumerate(found)]
+        paths = {each.key: str(service.root / "uploads" / each.versions[-1][1]) for each in sent}
+        keys = _new_job_ids(made)
+        for key, job in keys.items():
+            places.append(service.root / "runs" / job.run if job.run else service.root / "jobs" / key)
+            await _write_job(service, job, places[-1], ids, paths)
         size = sum(each.size for each in (*sent, *made))
         with service.store.together(partial(service.check_limits, size=size)) as store:
             row = store.new_project((name.strip() or "imported")[:80], notes[:20_000])
@@ -192,6 +235,9 @@ async def read_archive(service: Service, content: bytes) -> ProjectRow:
                 upload.keep(store, row.id)
             for key, job in keys.items():
                 job.keep(store, key, row.id)
+        for job in made:
+            if job.run:
+                learning.keep_run(service.root, job.run)
     except BaseException:
         for place in places:
             place.unlink(missing_ok=True) if place.is_file() else shutil.rmtree(place, ignore_errors=True)
@@ -337,6 +383,7 @@ class ArchivedJob(BaseModel):
     progress: float
     journal: list[tuple[int, dict[str, Any]]]
     files: dict[str, bytes]
+    run: str | None
 
     @property
     def size(self) -> int:
@@ -361,6 +408,7 @@ class ArchivedJob(BaseModel):
             "words": self.words,
             "name": self.name,
             "progress": self.progress,
+            "run": self.run,
         }
         told["created"] = self.created
         store.update(job, **told, **changes)
@@ -382,10 +430,12 @@ def _take_job(told: dict[str, Any], files: dict[str, bytes], ids: dict[str, str]
     prefix = f"jobs/{key}/"
     kept = {name.removeprefix(prefix): data for name, data in files.items() if name.startswith(prefix)}
     try:
-        # ids of uploads are words of their own, so that they are replaced wherever a request has them
-        asked = json.loads(UPLOAD.sub(lambda match: ids.get(match[0], match[0]), json.dumps(given)))
-        request = body.model_validate(asked).model_dump()
+        # ids are words of their own, so that they are replaced wherever a request has them
+        request = request_values(body.model_validate(_renamed(given, ids)))
         found = json.loads(kept.pop(RESULT, b"null"))
+        run = ids.get(str(told.get("run"))) if kind == "learn" and kept else None
+        if kind == "learn":
+            found = _renamed(found, ids)
         if found is not None and result is not None:
             result.model_validate(found)
         elif found is not None and not set(found) >= CONVOY_RESULT:
@@ -401,10 +451,73 @@ def _take_job(told: dict[str, Any], files: dict[str, bytes], ids: dict[str, str]
             progress=told.get("progress", 0.0),
             journal=told.get("journal", []),
             files={name: data for name, data in kept.items() if _is_file_of(kind, name)},
+            run=run,
         )
     except (ValidationError, ValueError, TypeError, RecursionError) as error:
         words = str(error.errors()[0]["msg"]) if isinstance(error, ValidationError) else str(error)
         raise InputError(f"not usable: {words[:120]}", file=INDEX, field=field, value=key[:80]) from None
+
+
+def _new_job_ids(jobs: Sequence[ArchivedJob]) -> dict[str, ArchivedJob]:
+    """Give jobs new ids, the oldest first, and learning runs before others, which name their policies."""
+    learned = [job for job in jobs[::-1] if job.kind == "learn"]
+    keys: dict[str, ArchivedJob] = {}
+    for job in (*learned, *(job for job in jobs[::-1] if job.kind != "learn")):
+        key = new_job_id(job.kind)
+        while key in keys:  # many at once may draw the same random part
+            key = new_job_id(job.kind)
+        keys[key] = job
+    return keys
+
+
+async def _write_job(
+    service: Service, job: ArchivedJob, folder: Path, ids: Mapping[str, str], paths: dict[str, str]
+) -> None:
+    """Write the files of a job, those of a learning run or a campaign as its worker left them.
+
+    Args:
+        service: Service of the server.
+        job: The job; a learning run that has to begin again loses its run.
+        folder: Its folder, or that of its learning run.
+        ids: New ids by those of the archive.
+        paths: Files of the new uploads and policies, by id; a learning run adds its policy.
+
+    Raises:
+        InputError: A file of it cannot be used.
+    """
+    job.write(folder)
+    try:
+        if job.run:
+            resumable = job.status != "done"
+            if not await service.pools.answer(learning.check_run, str(folder), job.request, resumable):
+                shutil.rmtree(folder)
+                job.run = None
+            elif POLICY_FILE in job.files:
+                paths[job.run] = str(folder / POLICY_FILE)
+        elif job.kind == "campaign" and campaigns.RESULTS in job.files:
+
+            def path(kind: str, key: str) -> str:
+                name, at, late = key.partition("@")
+                return paths[name] + at + late if name in paths else service.path(kind, key)
+
+            values = campaigns.file_values(job.request, path)
+            campaigns.read_declared(values, service.settings.campaign_rows)
+            named = {old: paths[new] for old, new in ids.items() if new in paths}
+            await service.pools.answer(campaigns.restore_job, str(service.root), folder.name, values, named)
+    except InputError as error:
+        # without its folder, which is one of this server and in the values of some errors, too
+        name = Path(str(error.file or job.kind)).name
+        raise InputError(error.message, file=name, field=error.field) from None
+
+
+def _renamed(values: object, ids: Mapping[str, str]) -> Any:  # noqa: ANN401 (what JSON holds)
+    """Values with every id of the archive replaced by its new one."""
+    return json.loads(NAMED.sub(lambda match: ids.get(match[0], match[0]), json.dumps(values)))
+
+
+def _new_run_id(run: str) -> str:
+    """Make an id for a learning run of an archive: driver, date and time stay."""
+    return RUN.sub(lambda match: f"{match[1]}-{secrets.token_hex(2)}", run)
 
 
 def file_name(row: ProjectRow) -> str:

@@ -12,6 +12,8 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+from pydantic import BaseModel
+
 from metropilot._schema import field_specs
 from metropilot.errors import InputError
 from metropilot.evaluate import POLICY, RunSpec, parse_driver
@@ -68,6 +70,11 @@ FORGET = 50
 def live_kind(request: dict[str, Any]) -> str:
     """Kind of a live run, one of ``LIVE_BODIES``, by its request."""
     return "convoy" if "follower" in request else "line" if "headway_s" in request else "run"
+
+
+def request_values(body: BaseModel) -> dict[str, Any]:
+    """Request of a job as it is stored: of a campaign, which is a file, only what it says."""
+    return body.model_dump(by_alias=True, exclude_unset=isinstance(body, CampaignIn))
 
 
 class Service:
@@ -507,7 +514,7 @@ class Service:
             else:
                 self._check_driver(request)
             kind = "compare" if isinstance(body, CompareIn) else "drive"
-        values = body.model_dump(by_alias=True, exclude_unset=isinstance(body, CampaignIn))
+        values = request_values(body)
         job = self.store.new_job(kind, values, self.check_room)
         self._schedule(job, kind, values, None)
         return job

@@ -58,9 +58,9 @@ def routes(service: Service) -> APIRouter:
 
     @router.get("/projects/{project_id}/archive", response_class=Response, responses=ZIP)
     def write_files(project_id: Key) -> Response:
-        """A project as one archive: runs with their files, lines and trainsets in every version, notes.
+        """A project as one archive: jobs with their files, lines and trainsets in every version, notes.
 
-        Learning runs, studies and campaigns, and what still runs, are left out.
+        Lines, trainsets, logs and policies that its jobs name go with it; what still runs is left out.
         """
         content = projects.write_archive(service, project_id)
         name = projects.file_name(service.store.project(project_id))

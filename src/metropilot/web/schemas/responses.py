@@ -677,6 +677,40 @@ class StudyRow(BaseModel):
     optimum: float | None
 
 
+class StudyResult(BaseModel):
+    """Report of a study that was reproduced; `rows` is the table that `GET /api/studies/ID` gives."""
+
+    study: str
+    budget: str
+    rows: list[StudyRow]
+
+
+class LearnResult(BaseModel):
+    """Result of a learning run."""
+
+    run: str
+    stopped: bool
+
+
+class CampaignResult(BaseModel):
+    """Result of a campaign; `done` are the rows computed."""
+
+    campaign: str
+    rows: int
+    stopped: bool
+    done: int
+
+
+class ExportResult(BaseModel):
+    """Result of an export: names of its files."""
+
+    files: list[str]
+    sections: list[str]
+    number: str
+    table_bytes: int
+    vectors: int
+
+
 class StudyPage(BaseModel):
     """The published page of a study: verdicts on the paper's claims, every row, figures."""
 

@@ -7,6 +7,7 @@ import re
 import shlex
 from collections.abc import Callable, Mapping
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 from metropilot._io import atomic_write
@@ -16,6 +17,8 @@ from metropilot.campaign import (
     CampaignRows,
     campaign_from_values,
     collect_parts,
+    restore_rows,
+    rows_of_folder,
     run_campaign,
 )
 from metropilot.errors import InputError
@@ -133,10 +136,57 @@ def campaign_job(root: str, job: str, values: dict[str, Any]) -> dict[str, Any]:
         done = run_campaign(campaign, folder / FOLDER, workers=1, say=say).rows
     except KeyboardInterrupt:
         return told | {"stopped": True, "done": round(store.job(job).progress * campaign.rows)}
+    _collect(root, folder, campaign)
+    return told | {"stopped": False, "done": done}
+
+
+def _collect(root: str, folder: Path, campaign: AbstractCampaign) -> None:
+    """Write the rows of a whole campaign as one file each, the second without paths."""
     collect_parts(folder / FOLDER)
     shown = CampaignRows(folder / FOLDER, campaign)
-    atomic_write(folder / RESULTS, lambda partial: shown.write(partial, hidden=f"{root}/"))
-    return told | {"stopped": False, "done": done}
+    atomic_write(folder / RESULTS, lambda partial: shown.write(partial, {f"{root}/": ""}))
+
+
+def archived_rows(folder: Path, values: dict[str, Any], ids: Mapping[str, str], *, whole: bool) -> bytes:
+    """Rows of a campaign as one file, files by their ids.
+
+    Args:
+        folder: Folder of the job.
+        values: The campaign, from :func:`file_values`.
+        ids: Ids by file.
+        whole: True if every row is computed; if not, a campaign whose lines or trainsets are others now has
+            no rows to go on from.
+
+    Raises:
+        InputError: Nothing is computed, or a line, trainset or policy is there no more.
+    """
+    found = rows_of_folder(folder / FOLDER)
+    if not whole and found.campaign.digest != campaign_from_values(DECLARED, values).digest:
+        raise InputError("lines or trainsets were changed", field="campaign", value=found.campaign.name)
+    names = {path: key for path, key in ids.items() if path in found.campaign.text}
+    with TemporaryDirectory(prefix="metropilot-") as scratch:
+        found.write(Path(scratch) / RESULTS, names)
+        return (Path(scratch) / RESULTS).read_bytes()
+
+
+def restore_job(root: str, job: str, values: dict[str, Any], ids: Mapping[str, str]) -> None:
+    """Make the folder of a campaign from the file of :func:`archived_rows` in it.
+
+    Args:
+        root: Folder of the server's data.
+        job: Id of the job.
+        values: The campaign, from :func:`file_values`.
+        ids: Files by the ids in the rows.
+
+    Raises:
+        InputError: The file is not of this campaign.
+    """
+    folder, campaign = folder_of(root, job), campaign_from_values(DECLARED, values)
+    rows = folder / RESULTS
+    count = restore_rows(campaign, folder / FOLDER, rows, ids)
+    rows.unlink()
+    if count == campaign.rows:
+        _collect(root, folder, campaign)
 
 
 def plain_rows(rows: list[dict[str, Any]], ids: Mapping[str, str]) -> list[dict[str, Any]]:

@@ -6,9 +6,13 @@ import json
 from pathlib import Path
 from typing import Any
 
+from metropilot.errors import InputError
+from metropilot.policy import POLICY_FILE
 from metropilot.web.store import JobStore
 
 PROGRESS = "progress.jsonl"
+LARGEST_CHECKPOINT = 24_000_000
+"""Size of a checkpoint, bytes, above which an archive has no files of the run: imported, it begins again."""
 
 
 def recipe_fields(body: dict[str, Any]) -> dict[str, Any]:
@@ -65,6 +69,79 @@ def learn_job(root: str, job: str, body: dict[str, Any], run: str | None) -> dic
     except KeyboardInterrupt:
         return {"run": record.id, "stopped": True}
     return {"run": record.id, "stopped": False, "score": record.score, "seconds": learned.seconds}
+
+
+def run_file_names(*, resumable: bool) -> tuple[str, ...]:
+    """Names of the files of a learning run that an archive of a project holds.
+
+    Args:
+        resumable: True if the run may go on: with its checkpoint.
+    """
+    from metropilot.learn import CHECKPOINT_FILE, HISTORY_FILE, RECORD_FILE
+
+    return (RECORD_FILE, PROGRESS, HISTORY_FILE, POLICY_FILE, *([CHECKPOINT_FILE] if resumable else []))
+
+
+def run_files(root: Path, run: str, *, resumable: bool) -> dict[str, bytes]:
+    """Files of a learning run, by name; none of one whose checkpoint is too large to take along.
+
+    Args:
+        root: Folder of the server's data.
+        run: Id of the run.
+        resumable: True if the run may go on.
+    """
+    paths = [root / "runs" / run / name for name in run_file_names(resumable=resumable)]
+    found = [path for path in paths if path.is_file()]
+    if resumable and any(path.stat().st_size > LARGEST_CHECKPOINT for path in found):
+        return {}
+    return {path.name: path.read_bytes() for path in found}
+
+
+def check_run(folder: str, body: dict[str, Any], resumable: bool) -> bool:
+    """Check the files of a learning run that come from elsewhere.
+
+    Args:
+        folder: Folder of the run.
+        body: Fields of its :class:`metropilot.web.schemas.requests.LearnIn`.
+        resumable: True if it may go on.
+
+    Returns:
+        False if it may go on, but its request stands for another configuration here: it has to begin again.
+
+    Raises:
+        InputError: One of them cannot be used.
+    """
+    from metropilot.learn import HISTORY_FILE, new_request, read_history, record_of
+    from metropilot.policy import load_driving_policy
+
+    path = Path(folder)
+    record = record_of(path)
+    if (path / PROGRESS).exists():
+        try:
+            rows = [json.loads(line) for line in (path / PROGRESS).read_text("utf-8").splitlines()]
+            if not all(isinstance(row, dict) and isinstance(row["steps"], int | float) for row in rows):
+                raise ValueError("not a row of numbers")
+        except (ValueError, KeyError, RecursionError) as error:
+            raise InputError("not a history", file=PROGRESS, value=str(error)[:80]) from None
+    if (path / HISTORY_FILE).exists():
+        read_history(path / HISTORY_FILE)
+    if (path / POLICY_FILE).exists():
+        load_driving_policy(path / POLICY_FILE)
+    if not resumable:
+        return True
+    what = {"budget": body["budget"], "task": body["task"], "seed": body["seed"]}
+    request = new_request(body["driver"], **what, **recipe_fields(body))
+    asked = (request.config, request.name, request.seed, request.driver)
+    return asked == (record.configuration(), record.task, record.seed, record.driver)
+
+
+def keep_run(root: Path, run: str) -> None:
+    """Put a learning run whose folder was written into the index."""
+    from metropilot.learn import RunStore, record_of
+
+    store = RunStore(root / "runs")
+    record = record_of(store.folder(run))
+    store.update(record, status="interrupted" if record.status == "running" else record.status)
 
 
 def study_job(root: str, job: str, body: dict[str, Any]) -> dict[str, Any]:
