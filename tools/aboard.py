@@ -58,6 +58,8 @@ STATES, CHUNK = 10_000_000, 200_000
 MARGIN_MPS = 2e-3
 """Speed by which the verdicts of a supervisor in single precision may differ."""
 STEPS = 1_000_000
+REPEATS = 3
+"""Times that each step is taken from the same state."""
 PRIORITY, LOCK_ALL = 80, 3
 """Real-time priority of a timed step, and the flags MCL_CURRENT | MCL_FUTURE."""
 WORST_US = 200.0
@@ -71,10 +73,13 @@ ANALYSERS = {
 }
 """Analysers of the source, as commands; what they print is what they find."""
 SANITIZERS = ("-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
-MANY = """
+MANY = (
+    f"""
+#define REPEATS {REPEATS}
+"""
+    + """
 #include "@NAME@.h"
 #include <math.h>
-#include <sys/resource.h>
 #include <time.h>
 #define BETWEEN_PAUSES 128
 #define PAUSE_MS 2
@@ -102,23 +107,22 @@ void many(int64_t n, int32_t section, const double *x, const double *v, const do
         out[k] = (double)output.share;
     }
 }
-void clocked(int64_t n, int64_t rows, const double *vectors, double *processor_us, double *wall_us,
-    bool *switched);
+void clocked(int64_t n, int64_t rows, const double *vectors, double *processor_us, double *least_us,
+    double *wall_us);
 static double us_between(struct timespec a, struct timespec b)
 {
     return 1e6 * (double)(b.tv_sec - a.tv_sec) + 1e-3 * (double)(b.tv_nsec - a.tv_nsec);
 }
-void clocked(int64_t n, int64_t rows, const double *vectors, double *processor_us, double *wall_us,
-    bool *switched)
+void clocked(int64_t n, int64_t rows, const double *vectors, double *processor_us, double *least_us,
+    double *wall_us)
 {
-    @NAME@_state state;
+    @NAME@_state state, before;
     @NAME@_input input;
     @NAME@_output output;
     const struct timespec pause = {0, PAUSE_MS * 1000000};
     for (int64_t k = 0; k < n; k++) {
         const double *row = vectors + 8 * (k % rows);
         struct timespec a, b, c, d;
-        struct rusage before, after;
         /* a task that never waits would lose its priority now and then, as the system defends itself */
         if (k % BETWEEN_PAUSES == 0) nanosleep(&pause, NULL);
         if (row[1] <= 0.0) @NAME@_init(&state, (int32_t)row[0]);
@@ -127,19 +131,26 @@ void clocked(int64_t n, int64_t rows, const double *vectors, double *processor_u
         input.speed_mps = (@NAME@_real)row[3];
         input.acceleration_mps2 = (@NAME@_real)row[4];
         input.scheduled_s = (@NAME@_real)row[5];
-        getrusage(RUSAGE_THREAD, &before);
-        clock_gettime(CLOCK_MONOTONIC, &a);
-        clock_gettime(CLOCK_THREAD_CPUTIME_ID, &b);
-        @NAME@_step(&state, &input, &output);
-        clock_gettime(CLOCK_THREAD_CPUTIME_ID, &c);
-        clock_gettime(CLOCK_MONOTONIC, &d);
-        getrusage(RUSAGE_THREAD, &after);
-        processor_us[k] = us_between(b, c);
-        wall_us[k] = us_between(a, d);
-        switched[k] = after.ru_nivcsw != before.ru_nivcsw;
+        before = state;
+        for (int j = 0; j < REPEATS; j++) {
+            double us;
+            state = before;
+            clock_gettime(CLOCK_MONOTONIC, &a);
+            clock_gettime(CLOCK_THREAD_CPUTIME_ID, &b);
+            @NAME@_step(&state, &input, &output);
+            clock_gettime(CLOCK_THREAD_CPUTIME_ID, &c);
+            clock_gettime(CLOCK_MONOTONIC, &d);
+            us = us_between(b, c);
+            if (j == 0) {
+                processor_us[k] = us;
+                wall_us[k] = us_between(a, d);
+            }
+            if (j == 0 || us < least_us[k]) least_us[k] = us;
+        }
     }
 }
 """
+)
 HOSTILE = """
 #include "@NAME@.h"
 #include <math.h>
@@ -405,12 +416,11 @@ def measure_build(name: str, trainset: str, number: str, second: str) -> dict[st
     section = load_line(LINE).section("RJ", "WYJ")
     driver, folder = export_driver([section], "AW2", number, many=True, name=name, trainset=trainset)
     vectors = np.loadtxt(folder / "vectors.csv", delimiter=",", skiprows=1)
-    us, wall_us, switched = np.zeros(STEPS), np.zeros(STEPS), np.zeros(STEPS, np.bool_)
-    pointers = [array.ctypes.data_as(ctypes.c_void_p) for array in (vectors, us, wall_us, switched)]
+    us, least_us, wall_us = np.zeros(STEPS), np.zeros(STEPS), np.zeros(STEPS)
+    pointers = [array.ctypes.data_as(ctypes.c_void_p) for array in (vectors, us, least_us, wall_us)]
     with real_time() as first:
         driver.library.clocked(ctypes.c_int64(STEPS), ctypes.c_int64(len(vectors)), *pointers)
-    print(number, np.median(us), us.max(), np.median(wall_us), wall_us.max(), switched.sum(), flush=True)
-    whole = us[: STEPS - STEPS % len(vectors)].reshape(-1, len(vectors))
+    print(number, np.median(us), us.max(), least_us.max(), np.median(wall_us), wall_us.max(), flush=True)
     write_driver(driver.program, folder)
     (folder / "hostile.c").write_text(HOSTILE.replace("@NAME@", name))
     builds = {}
@@ -430,9 +440,9 @@ def measure_build(name: str, trainset: str, number: str, second: str) -> dict[st
         "median_us": float(np.median(us)),
         "p999_us": float(np.quantile(us, 0.999)),
         "worst_us": float(us.max()),
-        "slowest_us": float(np.median(whole, axis=0).max()),
-        "switched": int(switched.sum()),
+        "least_worst_us": float(least_us.max()),
         "beyond_wanted": int((us > WORST_US).sum()),
+        "least_beyond_wanted": int((least_us > WORST_US).sum()),
         "real_time": first,
         "wall_p999_us": float(np.quantile(wall_us, 0.999)),
         "wall_worst_us": float(wall_us.max()),
@@ -551,10 +561,9 @@ BUILD_HEADS = (
     "object file, network included",
     "stack",
     "median",
-    "slowest place",
     "99.9 %",
-    "worst",
-    "steps beyond 200 µs",
+    f"worst; beyond {WORST_US:g} µs",
+    f"the least of {REPEATS} calls from one state: worst; beyond {WORST_US:g} µs",
     "by the wall, 99.9 %; worst",
     "no warning, vectors right",
     "sanitizers",
@@ -567,9 +576,8 @@ WANTED = (
     "16 kB",
     "100 µs",
     "–",
-    "–",
-    "200 µs",
-    "0",
+    "200 µs; 0",
+    "200 µs; 0",
     "–",
     "two compilers",
     "clean",
@@ -585,10 +593,9 @@ def build_row(driver: str, trainset: str, number: str, build: dict[str, Any]) ->
         f"{build['object_bytes'] / 1e3:.0f} kB",
         f"{build['stack_bytes'] / 1e3:.1f} kB",
         f"{build['median_us']:.0f} µs",
-        f"{build['slowest_us']:.0f} µs",
         f"{build['p999_us']:.0f} µs",
-        f"{build['worst_us']:,.0f} µs",
-        f"{build['beyond_wanted']}",
+        f"{build['worst_us']:,.0f} µs; {build['beyond_wanted']}",
+        f"{build['least_worst_us']:,.0f} µs; {build['least_beyond_wanted']}",
         f"{build['wall_p999_us']:.0f} µs; {build['wall_worst_us']:,.0f} µs",
         ", ".join(name for name, good in build["builds"].items() if good),
         "clean" if build["sanitized"] else "no",

@@ -9,11 +9,11 @@ import pytest
 PATH = Path(__file__).resolve().parents[2] / "tools" / "aboard.py"
 BUILD = {
     "median_us": 50.0,
-    "slowest_us": 120.0,
     "p999_us": 90.0,
     "worst_us": 700.0,
-    "switched": 9,
+    "least_worst_us": 120.0,
     "beyond_wanted": 3,
+    "least_beyond_wanted": 0,
     "real_time": True,
     "wall_p999_us": 100.0,
     "wall_worst_us": 4000.0,
@@ -49,7 +49,7 @@ def test_the_page_says_what_was_measured_and_when(tool, tmp_path):
     keep(tmp_path, "analyse-pid-dkz32-double", ANALYSIS, load="2.5")
     text = tool.page(tmp_path)
     assert (
-        "| `generalist` | dkz32@0.4,0.2 | double | 298 kB | 7.8 kB | 50 µs | 120 µs | 90 µs | 700 µs | 3 |"
+        "| `generalist` | dkz32@0.4,0.2 | double | 298 kB | 7.8 kB | 50 µs | 90 µs | 700 µs; 3 | 120 µs; 0 |"
         in text
     )
     assert "| clang | clean |" in text
