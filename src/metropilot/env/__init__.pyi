@@ -5,6 +5,7 @@ from .actions import GainsAction as GainsAction
 from .actions import IncrementAction as IncrementAction
 from .actions import NotchAction as NotchAction
 from .actions import RegimeAction as RegimeAction
+from .actions import needed_traction as needed_traction
 from .assists import Assists as Assists
 from .assists import apply_assists as apply_assists
 from .assists import ceiling_mps2 as ceiling_mps2

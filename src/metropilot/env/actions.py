@@ -14,10 +14,15 @@ import numpy as np
 
 from metropilot._registry import Registry, RegistryRow
 from metropilot._typing import Array, Bool, Num, Scalar
-from metropilot.env.features import FeatureContext
+from metropilot.env.features import FASTER_MPS, FeatureContext
 from metropilot.env.interface import ActionSpace
 from metropilot.errors import InputError
 from metropilot.physics import command_for_force
+
+EARLY_S = 0.2
+"""Time before the scheduled arrival at which coasting is to arrive."""
+LEAST_GAINED_S = 0.05
+"""Least time that the higher speed of ``FASTER_MPS`` gains."""
 
 
 class AbstractAction(ABC):
@@ -85,6 +90,25 @@ class CommandAction(AbstractAction):
         return context.xp.clip(action[0], -1.0, 1.0)
 
 
+def needed_traction(context: FeatureContext, period_s: float) -> Scalar:
+    """Command after which coasting to the station stop arrives in time; with more some would be braked away.
+
+    Interpolated between the times of coasting from the speed and from a higher one, with the speed that the
+    jerk limit still adds while traction is released, and the time that it takes to release the brake.
+
+    Args:
+        context: State.
+        period_s: Time until the next decision, s.
+    """
+    xp, jerk = context.xp, context.vehicle.jerk_mps3
+    taken = context.coasting[0]
+    rising = xp.maximum(context.acceleration_mps2, 0.0)
+    late_s = taken[0] + 0.5 * context.stop_mps2 / jerk + EARLY_S - context.left_s
+    gained_spm = xp.maximum(taken[0] - taken[1], LEAST_GAINED_S) / FASTER_MPS[0]
+    missing_mps = late_s / gained_spm - 0.5 * rising * rising / jerk
+    return xp.clip(missing_mps / (period_s * context.effort_limits.traction_mps2), 0.0, 1.0)
+
+
 @final
 @dataclass(frozen=True)
 class RegimeAction(AbstractAction):
@@ -96,12 +120,14 @@ class RegimeAction(AbstractAction):
     Attributes:
         coast: Absolute action up to which the trainset coasts.
         full: Absolute action from which effort is full.
+        needed: No more traction than coasting from then on needs to arrive in time.
     """
 
     kind = "regime"
 
     coast: float = 0.2
     full: float = 0.8
+    needed: bool = False
 
     def __post_init__(self) -> None:
         """Check that the dead zone leaves a range for effort."""
@@ -115,9 +141,10 @@ class RegimeAction(AbstractAction):
 
     def command(self, context: FeatureContext, action: Num[Array, "*actions"], period_s: float) -> Scalar:
         """Return 0 in the dead zone, then a linear rise to full effort."""
-        del period_s
-        size = context.xp.clip((context.xp.abs(action[0]) - self.coast) / (self.full - self.coast), 0.0, 1.0)
-        return context.xp.where(action[0] < 0.0, -size, size)
+        xp = context.xp
+        size = xp.clip((xp.abs(action[0]) - self.coast) / (self.full - self.coast), 0.0, 1.0)
+        traction = xp.minimum(size, needed_traction(context, period_s)) if self.needed else size
+        return xp.where(action[0] < 0.0, -size, traction)
 
 
 @final

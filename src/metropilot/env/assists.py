@@ -80,6 +80,11 @@ class Assists:
             if not low <= value <= high:
                 raise InputError("out of range", field=name, value=value, allowed=f"{low:g} to {high:g}")
 
+    @property
+    def work_share(self) -> float:
+        """Share of the brakes' work along the way that station-stop braking takes; 0 unless it is late."""
+        return self.stop_use if self.late else 0.0
+
     def planned_mps2(self, rows: SectionRows, case: Index, sure_mps2: Scalar, position_m: Scalar) -> Scalar:
         """Deceleration to plan the last braking with from a position.
 

@@ -22,6 +22,7 @@ REWARDS = (Energy(), Punctuality(per_s=2.0), Failure(price=20.0, per_m=0.05), In
 DOMAIN_OBSERVER = "line"
 DOMAIN_ASSISTS = Assists(margin_mps=0.05, stop_use=0.99, release=0.95, late=True)
 """Assists closer to the limits than the defaults, as the optimum uses the limits fully."""
+DOMAIN_ACTION = RegimeAction(needed=True)
 EPISODE_RULE = OutcomeRule(give_up_m=20.0, late_ratio=1.25, late_s=30.0)
 """Rule of episodes; stricter than that of reported drives, as the rest of a failed run is of no use."""
 

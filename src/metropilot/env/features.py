@@ -71,6 +71,8 @@ class _State(NamedTuple):
         acceleration_mps2: Acceleration over the last period.
         scheduled_s: Scheduled running time in force.
         command: Last command given.
+        stop_use: Share of the brakes' work along the way that station-stop braking takes; 0: it is planned
+            with ``stop_mps2`` all the way.
     """
 
     rows: SectionRows
@@ -87,6 +89,7 @@ class _State(NamedTuple):
     acceleration_mps2: Scalar
     scheduled_s: Scalar
     command: Scalar
+    stop_use: float
 
 
 class FeatureContext(_State):
@@ -135,7 +138,10 @@ class FeatureContext(_State):
         v, start, left = self.speed_mps, _along(self.position_m), _along(self.left_m)
         way = xp.asarray(COAST_SHARES, getattr(v, "dtype", float)) * xp.maximum(left, 1.0)
         climb = rows.curve_at(CLIMB_COLUMN, case, start + way)
-        stop_mps = xp.sqrt(2.0 * _along(self.stop_mps2) * (way[..., -1:] - way) + 1e-6)
+        work = _along(self.stop_mps2) * (way[..., -1:] - way)
+        if self.stop_use:
+            work = self.stop_use * rows.stop_work_at(case, start + way)
+        stop_mps = xp.sqrt(2.0 * xp.maximum(work, 0.0) + 1e-6)
         top = xp.minimum(rows.curve_at(PERMITTED_COLUMN, case, start + way), stop_mps)
         davis = [vehicle.davis_n[k] / vehicle.effective_mass_kg for k in range(3)]
         climb = climb * (vehicle.mass_kg / vehicle.effective_mass_kg)
@@ -163,6 +169,7 @@ def feature_context(  # noqa: PLR0913 (the state of a run, field by field)
     acceleration_mps2: Array,
     scheduled_s: Array,
     command: Array,
+    stop_use: float,
 ) -> FeatureContext:
     """Context of a state, in every engine that runs a policy. All numbers 0-d.
 
@@ -177,6 +184,7 @@ def feature_context(  # noqa: PLR0913 (the state of a run, field by field)
         acceleration_mps2: Acceleration over the last period.
         scheduled_s: Scheduled running time in force.
         command: Last command given.
+        stop_use: Share of the brakes' work along the way that station-stop braking takes; 0: none.
     """
     # a compiled step holds only the pieces of the track around its position
     track = found.track if rows.xp is np else near_track(found.track, found.vehicle, position_m)
@@ -195,6 +203,7 @@ def feature_context(  # noqa: PLR0913 (the state of a run, field by field)
         acceleration_mps2=acceleration_mps2,
         scheduled_s=scheduled_s,
         command=command,
+        stop_use=stop_use,
     )
 
 

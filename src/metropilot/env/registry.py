@@ -9,7 +9,14 @@ from typing import Any
 from metropilot._registry import Registry, RegistryRow
 from metropilot.env.actions import CommandAction, IncrementAction, NotchAction
 from metropilot.env.assists import Assists
-from metropilot.env.config import DOMAIN_ASSISTS, DOMAIN_OBSERVER, REWARDS, DomainRandomization, DrivingConfig
+from metropilot.env.config import (
+    DOMAIN_ACTION,
+    DOMAIN_ASSISTS,
+    DOMAIN_OBSERVER,
+    REWARDS,
+    DomainRandomization,
+    DrivingConfig,
+)
 from metropilot.env.driving import DrivingTask
 from metropilot.env.randomization import DisturbanceDistribution, domain_sample
 from metropilot.env.rewards import StopError
@@ -78,6 +85,7 @@ def _random_domains() -> DrivingConfig:
         DisturbanceDistribution(time_ratio=(1.05, 1.4)),
         ideal=False,
         observer=DOMAIN_OBSERVER,
+        action=DOMAIN_ACTION,
         assists=DOMAIN_ASSISTS,
         dt=0.2,
         periods=2,

@@ -302,6 +302,7 @@ class SectionRows:
             count = self.node_curves.shape[1]
             self._nodes_m = self.start_m[:, None] + self.spacing_m * np.arange(count)
             self._columns = np.ascontiguousarray(self.node_curves.transpose(0, 2, 1))
+            self._stop_work = np.ascontiguousarray(self.braking_curves[..., 0])
         self._shared = _map_tree(lambda a: not traced and bool((a == a[:1]).all()), small, traced=traced)
         if traced:
             self._small = _map_tree(xp.asarray, small, traced=True)
@@ -343,6 +344,13 @@ class SectionRows:
         node, way = self.node(case, position_m)
         here, after = self.braking_curves[case, node, 0], self.braking_curves[case, node + 1, 0]
         return here + (after - here) * way, (here - after) / self.spacing_m
+
+    def stop_work_at(self, case: Index, position_m: Scalar) -> Scalar:
+        """Energy that the brakes surely dissipate to the stop from one or many positions, J/kg."""
+        if self.xp is np and namespace(position_m) is np and np.ndim(case) == 0:
+            work = self._stop_work[case]
+            return np.interp(position_m, self._nodes_m[case, : work.size], work)
+        return self.stop_at(case, position_m)[0]
 
     def follow_at(self, case: Index, position_m: Scalar) -> Scalar:
         """Speed from which the brakes surely respect all permitted speeds ahead, m/s."""

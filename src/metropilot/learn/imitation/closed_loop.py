@@ -39,6 +39,7 @@ from metropilot.env import (
     apply_assists,
     feature_context,
     near_track,
+    needed_traction,
     observe,
     stop_options,
 )
@@ -232,12 +233,19 @@ class ClosedLoop:
             acceleration_mps2=plant.acceleration_mps2,
             scheduled_s=begin.scheduled_s,
             command=jnp.zeros((), jnp.float32),
+            stop_use=self.assists.work_share,
         )
 
         def choose(_: None, __: RunState) -> tuple[Command, None]:
             action = decide(params, observe(self.features, context))
             soft = jnp.clip(action[0], -1.0, 1.0)
-            command = self.action.command(context, action, dt) + LEAK * (soft - jax.lax.stop_gradient(soft))
+            command = self.action.command(context, action, dt)
+            slope = LEAK
+            if self.action.needed:  # more of an action that is limited by what is needed changes nothing
+                freely = replace(self.action, needed=False).command(context, action, dt)
+                acts = (action[0] < 0.0) | (freely < needed_traction(context, dt))
+                slope = jnp.where(acts, LEAK, 0.0)
+            command += slope * (soft - jax.lax.stop_gradient(soft))
             # the station stop is counted in closed form below
             under = replace(self.assists, stop=False)
             command, _ = apply_assists(under, context, jnp.clip(command, -1.0, 1.0), jnp.zeros((), bool), dt)
