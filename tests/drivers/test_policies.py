@@ -12,7 +12,15 @@ from metropilot.drivers import DRIVERS, shipped
 from metropilot.drivers.learned import LearnedDriver
 from metropilot.env import ACTIONS, PolicyInterface, task_config
 from metropilot.errors import InputError
-from metropilot.evaluate import RunSpec, make_driver, run_from_toml, write_run_toml
+from metropilot.evaluate import (
+    RunSpec,
+    kpis_of,
+    make_driver,
+    optimum_of,
+    run_from_toml,
+    write_run_toml,
+)
+from metropilot.planning import minimum_running_time
 from metropilot.policy import (
     Policy,
     PolicySpec,
@@ -228,3 +236,14 @@ def test_the_stand_jerks_no_more_than_the_trainset_may(driver, origin, destinati
     change = np.abs(np.diff(driven.trajectory.acceleration_mps2)).max()
     assert change / driven.run.dt <= driven.run.trainset.actuation.jerk_limit_mps3 * (1 + 1e-6)
     assert abs(driven.trajectory.position_m[-1] - driven.run.section.length_m) < 0.01
+
+
+@pytest.mark.parametrize("trainset", ["cn_beijing_subway", "ch_stadler_kiss_sbb", "dkz32"])
+def test_on_a_long_fall_generalist_does_not_brake_away_what_it_powered(trainset):
+    """From the start it is all down: a tenth of a metre per second too much there is braked away below."""
+    section, load = load_line("yizhuang").section("XHM", "JG"), load_trainset(trainset)
+    time_s = round(1.35 * minimum_running_time(section, load), 1)
+    driven = drive(Run(section, load, time_s), make_driver("generalist"))
+    assert driven.running_time_s == pytest.approx(time_s, abs=1.0)
+    kpis = kpis_of(driven, optimum_of(driven))
+    assert kpis.driver_gap_percent < 8.0

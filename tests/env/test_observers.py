@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from metropilot.env import DOMAIN_ASSISTS, domain_sample
+from metropilot.env import DOMAIN_ASSISTS, RegimeAction, domain_sample, needed_traction
+from metropilot.env.actions import EARLY_S
 from metropilot.env.features import FASTER_MPS, FEATURES, OBSERVERS, SPEED_MPS, FeatureContext
 from metropilot.env.tables import CLIMB_COLUMN, PACES_MPS, PERMITTED_COLUMN
 from metropilot.learn import DemonstrationGenerator
@@ -91,13 +92,36 @@ def test_coasting_takes_what_integration_gives(room):
     for k in range(way.size - 1):
         drag = float(davis_n(vehicle, np.sqrt(2.0 * energy[k])) / vehicle.effective_mass_kg)
         energy[k + 1] = max(energy[k] - (climb[k + 1] - climb[k]) - drag * way[1], 0.5)
-    stop_mps = np.sqrt(2.0 * float(seen.stop_mps2) * (length - way) + 1e-6)
+    work = DOMAIN_ASSISTS.work_share * room.rows.stop_at(0, seen.position_m + way)[0]
+    stop_mps = np.sqrt(2.0 * np.maximum(work, 0.0) + 1e-6)
     top = np.minimum(room.rows.curve_at(PERMITTED_COLUMN, 0, seen.position_m + way), stop_mps)
     speed = np.minimum(np.sqrt(2.0 * energy), top)
     taken = float(np.sum(2.0 * way[1] / (speed[1:] + speed[:-1] + 0.1)))
     spare = float(FEATURES.get("coasting")(seen)[0]) * 50.0
     assert energy.min() > 5.0, "it coasts to the end"
     assert 200.0 - spare == pytest.approx(taken, rel=0.03)
+
+
+def test_no_more_traction_than_coasting_needs(room):
+    """None where coasting arrives in time, all far from that, and between them what is still missing."""
+    at, period_s = 0.6 * room.length_m, 0.4
+    seen = context(room, at, 12.0, 0.0)
+    taken, faster = (float(value) for value in seen.coasting[0])
+    released_s = 0.5 * float(seen.stop_mps2 / seen.vehicle.jerk_mps3)
+    early = taken + released_s + EARLY_S
+    found = [
+        float(needed_traction(context(room, at, 12.0, early + more), period_s)) for more in (1.0, 0.0, -60.0)
+    ]
+    assert found == pytest.approx([0.0, 0.0, 1.0], abs=1e-6)
+    gained = 0.1 * float(seen.effort_limits.traction_mps2) * period_s
+    left_s = early - gained * (taken - faster) / FASTER_MPS[0]
+    if taken - faster > 0.1:
+        assert float(needed_traction(context(room, at, 12.0, left_s), period_s)) == pytest.approx(0.1)
+    action = RegimeAction(needed=True)
+    late, soon = (context(room, at, 12.0, early + more) for more in (-60.0, 1.0))
+    for asked, given in ((-1.0, -1.0), (-0.1, 0.0), (0.5, 0.5), (1.0, 1.0)):
+        assert float(action.command(late, np.array([asked]), period_s)) == pytest.approx(given)
+        assert float(action.command(soon, np.array([asked]), period_s)) == pytest.approx(min(given, 0.0))
 
 
 def test_the_observer_for_any_line_has_them():
