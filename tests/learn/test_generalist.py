@@ -167,7 +167,10 @@ def test_what_flows_back_is_kept_within_its_worth():
 
 @pytest.fixture(scope="module")
 def few_worlds():
-    """The task that judges, with four of its worlds: two with a jerk limit, two without."""
+    """The task that judges, with four of its worlds: two with a jerk limit, two without.
+
+    Traction is not limited to what is needed, as in the loop.
+    """
     config = task_config("worlds")
     jerky = [np.isfinite(t.actuation.jerk_limit_mps3) for t in config.trainsets]
     short = [s.length_m < 2200.0 for s in config.sections]
@@ -175,7 +178,7 @@ def few_worlds():
     rows = [k for k in rows if jerky[k]][:2] + [k for k in rows if not jerky[k]][:2]
     assert len(rows) == 4
     picked = {name: tuple(getattr(config, name)[k] for k in rows) for name in ("sections", "trainsets")}
-    return replace(config, **picked)
+    return replace(config, action=RegimeAction(), **picked)
 
 
 def test_the_lean_loop_costs_what_the_real_task_costs(few_worlds):
@@ -218,16 +221,11 @@ def test_the_lean_loop_costs_what_the_real_task_costs(few_worlds):
     assert float(np.abs(drives.stop_error_m).max()) < 0.3
 
 
-@pytest.mark.parametrize(("needed", "speed", "rel"), [(False, 0.95, 0.1), (True, 0.7, 0.8)])
-def test_the_gradient_of_a_drive_says_what_a_change_costs(few_worlds, needed, speed, rel):
-    """A policy that drives up to the ceiling and slows down early: its gradient against differences.
-
-    Where traction is limited to what is needed the slope has kinks, and is right in sign and size only.
-    """
+def test_the_gradient_of_a_drive_says_what_a_change_costs(few_worlds):
+    """A policy that drives up to the ceiling and slows down early: its gradient against differences."""
     rows = SectionRows(few_worlds.tables(), jax=True)
     period_s = few_worlds.dt * few_worlds.periods
-    action = replace(few_worlds.action, needed=needed)
-    loop = ClosedLoop(rows, few_worlds.features, action, few_worlds.assists, period_s)
+    loop = ClosedLoop(rows, few_worlds.features, few_worlds.action, few_worlds.assists, period_s)
     first = few_worlds.features.index("speed")
 
     def decide(params, observation):
@@ -244,10 +242,10 @@ def test_the_gradient_of_a_drive_says_what_a_change_costs(few_worlds, needed, sp
         drive = jax.vmap(lambda b: loop.drive(decide, params, b, 600, jnp.float32(1.0 / 300.0)))(begin)
         return jnp.mean(drive.energy_j / 300.0 + 0.02 * drive.late_s)
 
-    params, evaluate = {"speed": jnp.float32(speed), "early": jnp.float32(8.0)}, jax.jit(cost)
+    params, evaluate = {"speed": jnp.float32(0.95), "early": jnp.float32(8.0)}, jax.jit(cost)
     more, less = (float(evaluate(params | {"speed": params["speed"] + step})) for step in (0.02, -0.02))
     slope = jax.jit(jax.grad(cost))(params)["speed"]
-    assert float(slope) == pytest.approx((more - less) / 0.04, rel=rel)
+    assert float(slope) == pytest.approx((more - less) / 0.04, rel=0.1)
 
 
 def test_lessons_are_gathered_once_and_read_again(tmp_path):

@@ -39,7 +39,6 @@ from metropilot.env import (
     apply_assists,
     feature_context,
     near_track,
-    needed_traction,
     observe,
     stop_options,
 )
@@ -221,6 +220,8 @@ class ClosedLoop:
     ) -> _Moving:
         """One control period as long as a decision, on the plant itself, under the ceiling of the assists."""
         dt, vehicle, plant = self.period_s, case.vehicle, now.run.plant
+        # limited to what is needed, an action would have no slope, and nothing be learned from it
+        free = replace(self.action, needed=False)
         at = plant.position_m
         context = feature_context(
             self.rows,
@@ -239,13 +240,7 @@ class ClosedLoop:
         def choose(_: None, __: RunState) -> tuple[Command, None]:
             action = decide(params, observe(self.features, context))
             soft = jnp.clip(action[0], -1.0, 1.0)
-            command = self.action.command(context, action, dt)
-            slope = LEAK
-            if self.action.needed:  # more of an action that is limited by what is needed changes nothing
-                freely = replace(self.action, needed=False).command(context, action, dt)
-                acts = (action[0] < 0.0) | (freely < needed_traction(context, dt))
-                slope = jnp.where(acts, LEAK, 0.0)
-            command += slope * (soft - jax.lax.stop_gradient(soft))
+            command = free.command(context, action, dt) + LEAK * (soft - jax.lax.stop_gradient(soft))
             # the station stop is counted in closed form below
             under = replace(self.assists, stop=False)
             command, _ = apply_assists(under, context, jnp.clip(command, -1.0, 1.0), jnp.zeros((), bool), dt)
