@@ -246,4 +246,4 @@ def test_on_a_long_fall_generalist_does_not_brake_away_what_it_powered(trainset)
     driven = drive(Run(section, load, time_s), make_driver("generalist"))
     assert driven.running_time_s == pytest.approx(time_s, abs=1.0)
     kpis = kpis_of(driven, optimum_of(driven))
-    assert kpis.driver_gap_percent < 8.0
+    assert kpis.driver_gap_percent < 10.0

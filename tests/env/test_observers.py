@@ -92,8 +92,7 @@ def test_coasting_takes_what_integration_gives(room):
     for k in range(way.size - 1):
         drag = float(davis_n(vehicle, np.sqrt(2.0 * energy[k])) / vehicle.effective_mass_kg)
         energy[k + 1] = max(energy[k] - (climb[k + 1] - climb[k]) - drag * way[1], 0.5)
-    work = DOMAIN_ASSISTS.work_share * room.rows.stop_at(0, seen.position_m + way)[0]
-    stop_mps = np.sqrt(2.0 * np.maximum(work, 0.0) + 1e-6)
+    stop_mps = np.sqrt(2.0 * float(seen.stop_mps2) * (length - way) + 1e-6)
     top = np.minimum(room.rows.curve_at(PERMITTED_COLUMN, 0, seen.position_m + way), stop_mps)
     speed = np.minimum(np.sqrt(2.0 * energy), top)
     taken = float(np.sum(2.0 * way[1] / (speed[1:] + speed[:-1] + 0.1)))
@@ -106,7 +105,7 @@ def test_no_more_traction_than_coasting_needs(room):
     """None where coasting arrives in time, all far from that, and between them what is still missing."""
     at, period_s = 0.6 * room.length_m, 0.4
     seen = context(room, at, 12.0, 0.0)
-    taken, faster = (float(value) for value in seen.coasting[0])
+    taken, faster = (float(value) for value in seen.braked_coasting_s)
     released_s = 0.5 * float(seen.stop_mps2 / seen.vehicle.jerk_mps3)
     early = taken + released_s + EARLY_S
     found = [

@@ -185,7 +185,7 @@ class LearnedDriver(AbstractDriver):
             command = as_double(share)
         elif (
             context.left_s < mismatch.NEAR_STOP * context.to_go_s
-            and 0.0 < context.coasting[0][0] - context.left_s < mismatch.LATE_S
+            and 0.0 < context.braked_coasting_s[0] - context.left_s < mismatch.LATE_S
         ):
             # far from the stop coasting may arrive late and be right: a fall is still to come
             command = np.maximum(command, context.effort_limits.command_for(0.0))

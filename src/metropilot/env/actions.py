@@ -101,7 +101,7 @@ def needed_traction(context: FeatureContext, period_s: float) -> Scalar:
         period_s: Time until the next decision, s.
     """
     xp, jerk = context.xp, context.vehicle.jerk_mps3
-    taken = context.coasting[0]
+    taken = context.braked_coasting_s
     rising = xp.maximum(context.acceleration_mps2, 0.0)
     late_s = taken[0] + 0.5 * context.stop_mps2 / jerk + EARLY_S - context.left_s
     gained_spm = xp.maximum(taken[0] - taken[1], LEAST_GAINED_S) / FASTER_MPS[0]

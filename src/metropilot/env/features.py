@@ -132,24 +132,50 @@ class FeatureContext(_State):
     def coasting(self) -> tuple[Array, Array]:
         """Times to the stop if the trainset coasts from here, and its least speeds on the way.
 
-        The first entries are for its speed, the others for speeds higher by ``FASTER_MPS``.
+        The first entries are for its speed, the others for speeds higher by ``FASTER_MPS``. Energy that is
+        braked away on the way comes back, and the stop takes one deceleration: policies learned with it.
         """
-        xp, vehicle, rows, case = self.rows.xp, self.vehicle, self.rows, self.case
-        v, start, left = self.speed_mps, _along(self.position_m), _along(self.left_m)
-        way = xp.asarray(COAST_SHARES, getattr(v, "dtype", float)) * xp.maximum(left, 1.0)
-        climb = rows.curve_at(CLIMB_COLUMN, case, start + way)
+        way = self._way_m
+        top = self._highest_mps(_along(self.stop_mps2) * (way[..., -1:] - way))
+        speeds = self.rows.xp.minimum(self._coast(None), top[None])
+        return _time_along(way, speeds), speeds[..., :-3].min(-1) / SPEED_MPS
+
+    @functools.cached_property
+    def braked_coasting_s(self) -> Array:
+        """Times of ``coasting``, without the energy braked away and with the stop as it is planned."""
+        way = self._way_m
         work = _along(self.stop_mps2) * (way[..., -1:] - way)
         if self.stop_use:
-            work = self.stop_use * rows.stop_work_at(case, start + way)
-        stop_mps = xp.sqrt(2.0 * xp.maximum(work, 0.0) + 1e-6)
-        top = xp.minimum(rows.curve_at(PERMITTED_COLUMN, case, start + way), stop_mps)
-        davis = [vehicle.davis_n[k] / vehicle.effective_mass_kg for k in range(3)]
+            work = self.stop_use * self.rows.stop_work_at(self.case, _along(self.position_m) + way)
+        top = self._highest_mps(work)
+        return _time_along(way, self.rows.xp.minimum(self._coast(0.5 * top * top), top[None]))
+
+    @functools.cached_property
+    def _way_m(self) -> Array:
+        """Distances from here at ``COAST_SHARES`` of the distance left."""
+        xp, dtype = self.rows.xp, getattr(self.speed_mps, "dtype", float)
+        return xp.asarray(COAST_SHARES, dtype) * xp.maximum(_along(self.left_m), 1.0)
+
+    def _highest_mps(self, stop_jpkg: Array) -> Array:
+        """Highest speeds on the way: permitted, and such that the work of the station stop is enough."""
+        xp, at = self.rows.xp, _along(self.position_m) + self._way_m
+        stop_mps = xp.sqrt(2.0 * xp.maximum(stop_jpkg, 0.0) + 1e-6)
+        return xp.minimum(self.rows.curve_at(PERMITTED_COLUMN, self.case, at), stop_mps)
+
+    def _coast(self, cap_jpkg: Array | None) -> Array:
+        """Speeds on the way to the stop while coasting, from each of ``INCREASES_MPS``."""
+        vehicle, way = self.vehicle, self._way_m
+        climb = self.rows.curve_at(CLIMB_COLUMN, self.case, _along(self.position_m) + way)
         climb = climb * (vehicle.mass_kg / vehicle.effective_mass_kg)
-        speeds = coast(v + _as_rows(self, INCREASES_MPS), way[None], climb[None], davis)
-        speeds = xp.minimum(speeds, top[None])
-        step = (way[..., 1:] - way[..., :-1])[None]
-        taken = (2.0 * step / (speeds[..., 1:] + speeds[..., :-1] + CRAWL_MPS)).sum(-1)
-        return taken, speeds[..., :-3].min(-1) / SPEED_MPS
+        davis = [vehicle.davis_n[k] / vehicle.effective_mass_kg for k in range(3)]
+        cap = None if cap_jpkg is None else cap_jpkg[None]
+        return coast(self.speed_mps + _as_rows(self, INCREASES_MPS), way[None], climb[None], davis, cap)
+
+
+def _time_along(way_m: Array, speeds_mps: Array) -> Array:
+    """Times to the last of some places at the speeds there."""
+    step = (way_m[..., 1:] - way_m[..., :-1])[None]
+    return (2.0 * step / (speeds_mps[..., 1:] + speeds_mps[..., :-1] + CRAWL_MPS)).sum(-1)
 
 
 def _along(value: Scalar) -> Scalar:
