@@ -17,7 +17,7 @@ from metropilot._typing import Array, Bool, Num, Scalar
 from metropilot.env.features import FASTER_MPS, FeatureContext
 from metropilot.env.interface import ActionSpace
 from metropilot.errors import InputError
-from metropilot.physics import command_for_force
+from metropilot.physics import command_for_force, scalars
 
 EARLY_S = 0.2
 """Time before the scheduled arrival at which coasting is to arrive."""
@@ -143,8 +143,10 @@ class RegimeAction(AbstractAction):
         """Return 0 in the dead zone, then a linear rise to full effort."""
         xp = context.xp
         size = xp.clip((xp.abs(action[0]) - self.coast) / (self.full - self.coast), 0.0, 1.0)
-        traction = xp.minimum(size, needed_traction(context, period_s)) if self.needed else size
-        return xp.where(action[0] < 0.0, -size, traction)
+        # of one state on the host nothing is forecast that would not be used
+        if self.needed and (xp is not scalars or action[0] > self.coast):
+            size = xp.where(action[0] < 0.0, size, xp.minimum(size, needed_traction(context, period_s)))
+        return xp.where(action[0] < 0.0, -size, size)
 
 
 @final

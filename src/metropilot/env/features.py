@@ -162,11 +162,16 @@ class FeatureContext(_State):
         stop_mps = xp.sqrt(2.0 * xp.maximum(stop_jpkg, 0.0) + 1e-6)
         return xp.minimum(self.rows.curve_at(PERMITTED_COLUMN, self.case, at), stop_mps)
 
+    @functools.cached_property
+    def _climb_jpkg(self) -> Array:
+        """Work of gradients and curves on the way, per effective mass."""
+        vehicle, at = self.vehicle, _along(self.position_m) + self._way_m
+        climb = self.rows.curve_at(CLIMB_COLUMN, self.case, at)
+        return climb * (vehicle.mass_kg / vehicle.effective_mass_kg)
+
     def _coast(self, cap_jpkg: Array | None) -> Array:
         """Speeds on the way to the stop while coasting, from each of ``INCREASES_MPS``."""
-        vehicle, way = self.vehicle, self._way_m
-        climb = self.rows.curve_at(CLIMB_COLUMN, self.case, _along(self.position_m) + way)
-        climb = climb * (vehicle.mass_kg / vehicle.effective_mass_kg)
+        vehicle, way, climb = self.vehicle, self._way_m, self._climb_jpkg
         davis = [vehicle.davis_n[k] / vehicle.effective_mass_kg for k in range(3)]
         cap = None if cap_jpkg is None else cap_jpkg[None]
         return coast(self.speed_mps + _as_rows(self, INCREASES_MPS), way[None], climb[None], davis, cap)
