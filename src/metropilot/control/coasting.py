@@ -37,6 +37,18 @@ def _up_to(dtype: np.dtype) -> np.ndarray:
 
 
 @no_type_check
+def _least_so_far(values: Float[Array, "... nodes"]) -> Float[Array, "... nodes"]:
+    """Least of the values up to each node, in operations that have a form in C."""
+    if isinstance(values, np.ndarray):
+        return np.minimum.accumulate(values, -1)
+    xp, step = namespace(values), 1
+    while step < values.shape[-1]:
+        later = xp.minimum(values[..., step:], values[..., :-step])
+        values, step = xp.concatenate([values[..., :step], later], -1), 2 * step
+    return values
+
+
+@no_type_check
 def coast(
     speed_mps: Float[Array, "..."],
     way_m: Float[Array, "... nodes"],
@@ -70,7 +82,7 @@ def coast(
         # energy without losses: constant while coasting, and lowered for good where a cap is below it
         free = start
         if cap_jpkg is not None:
-            free = xp.minimum(start, xp.minimum.accumulate(xp.exp(lost) * cap_jpkg + spent, -1))
+            free = xp.minimum(start, _least_so_far(xp.exp(lost) * cap_jpkg + spent))
         energy = xp.maximum(xp.exp(-lost) * (free - spent), LEAST_JPKG)
     return xp.sqrt(2.0 * energy)
 
