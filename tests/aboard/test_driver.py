@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from metropilot.aboard import compile_driver, drive_compiled, trace_driver, write_driver
+from metropilot.aboard.source import driver_texts
 from metropilot.drivers import LearnedDriver
 from metropilot.physics import Command
 from metropilot.policy import Policy, in_precision, load_driving_policy, shipped_policy
@@ -245,3 +246,12 @@ def test_the_makefile_builds_the_example_and_checks_the_vectors(sources):
     wrong = subprocess.run(["./vectors"], cwd=folder, capture_output=True, text=True, check=False)
     assert wrong.returncode == 1
     assert " 1 wrong" in wrong.stdout
+
+
+@pytest.mark.parametrize("trainset", ["dkz32", "dkz32@0.4,0.2"])
+def test_generalist_has_a_form_in_c(trainset):
+    policy = load_driving_policy(shipped_policy("generalist"))
+    section = load_line("yizhuang").section("RJ", "WYJ")
+    program = trace_driver("generalist", policy, [section], load_trainset(trainset), number="double")
+    texts, _ = driver_texts(program)
+    assert "generalist_step(" in texts["generalist.c"]
