@@ -73,11 +73,8 @@ ANALYSERS = {
 }
 """Analysers of the source, as commands; what they print is what they find."""
 SANITIZERS = ("-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
-MANY = (
-    f"""
-#define REPEATS {REPEATS}
-"""
-    + """
+MANY = """
+#define REPEATS @REPEATS@
 #include "@NAME@.h"
 #include <math.h>
 #include <time.h>
@@ -150,7 +147,6 @@ void clocked(int64_t n, int64_t rows, const double *vectors, double *processor_u
     }
 }
 """
-)
 HOSTILE = """
 #include "@NAME@.h"
 #include <math.h>
@@ -209,7 +205,8 @@ def export_driver(
     write_driver(program, folder)
     if many:
         source = folder / f"{name}.c"
-        source.write_text("#define _GNU_SOURCE\n" + source.read_text() + MANY.replace("@NAME@", name))
+        loops = MANY.replace("@NAME@", name).replace("@REPEATS@", str(REPEATS))
+        source.write_text("#define _GNU_SOURCE\n" + source.read_text() + loops)
     return compile_driver(program, folder), folder
 
 
