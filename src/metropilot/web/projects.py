@@ -221,7 +221,8 @@ async def read_archive(service: Service, content: bytes) -> ProjectRow:
     try:
         sent = [await _take_upload(service, each, files, ids, places) for each in _rows(uploads, "uploads")]
         found = _rows(jobs, "jobs")
-        ids |= {run: _new_run_id(run) for each in found if RUN.fullmatch(run := str(each.get("run")))}
+        runs = [run for each in found if RUN.fullmatch(run := str(each.get("run")))]
+        ids |= {run: _new_run_id(service.root, run) for run in runs}
         made = [_take_job(each, files, ids, f"jobs[{k}]") for k, each in enumerate(found)]
         paths = {each.key: str(service.root / "uploads" / each.versions[-1][1]) for each in sent}
         keys = _new_job_ids(made)
@@ -235,13 +236,13 @@ async def read_archive(service: Service, content: bytes) -> ProjectRow:
                 upload.keep(store, row.id)
             for key, job in keys.items():
                 job.keep(store, key, row.id)
-        for job in made:
-            if job.run:
-                learning.keep_run(service.root, job.run)
     except BaseException:
         for place in places:
             place.unlink(missing_ok=True) if place.is_file() else shutil.rmtree(place, ignore_errors=True)
         raise
+    for job in made:
+        if job.run:
+            learning.keep_run(service.root, job.run)
     return row
 
 
@@ -515,9 +516,12 @@ def _renamed(values: object, ids: Mapping[str, str]) -> Any:  # noqa: ANN401 (wh
     return json.loads(NAMED.sub(lambda match: ids.get(match[0], match[0]), json.dumps(values)))
 
 
-def _new_run_id(run: str) -> str:
-    """Make an id for a learning run of an archive: driver, date and time stay."""
-    return RUN.sub(lambda match: f"{match[1]}-{secrets.token_hex(2)}", run)
+def _new_run_id(root: Path, run: str) -> str:
+    """Make an id for a learning run of an archive that no run here has: driver, date and time stay."""
+    while True:
+        made = RUN.sub(lambda match: f"{match[1]}-{secrets.token_hex(2)}", run)
+        if not (root / "runs" / made).exists():
+            return made
 
 
 def file_name(row: ProjectRow) -> str:
