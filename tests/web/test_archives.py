@@ -143,7 +143,7 @@ def test_learning_runs_and_campaigns_go_on_elsewhere(server, made, tmp_path):
         other.close()
 
 
-def edited(content, change):
+def edit_archive(content, change):
     """An archive with its files changed by a function of name and content; None leaves a file out."""
     with zipfile.ZipFile(io.BytesIO(content)) as archive:
         files = {name: change(name, archive.read(name)) for name in archive.namelist()}
@@ -163,7 +163,7 @@ def edited(content, change):
 def test_a_file_that_cannot_be_used_leaves_nothing_behind(server, made, name, data, words):
     folders = [len(list(server.data.glob(f"{kind}/*"))) for kind in ("jobs", "runs", "uploads")]
     before = server.get("/api/projects"), len(server.get("/api/runs"))
-    content = edited(made["content"], lambda path, old: data if path.endswith(f"/{name}") else old)
+    content = edit_archive(made["content"], lambda path, old: data if path.endswith(f"/{name}") else old)
     error = send(server, content, 422)["error"]
     assert words in error["message"]
     assert str(server.data) not in str(error)
@@ -177,7 +177,7 @@ def test_a_run_of_another_configuration_begins_again(server, made):
             old.replace(b"hidden = [\n    64", b"hidden = [\n    65") if path.endswith("/run.toml") else old
         )
 
-    project = send(server, edited(made["content"], change), 201)["id"]
+    project = send(server, edit_archive(made["content"], change), 201)["id"]
     rows = {
         row["status"]: row for row in server.get(f"/api/jobs?project={project}") if row["kind"] == "learn"
     }

@@ -261,5 +261,5 @@ class LearnedDriver(AbstractDriver):
             acceleration_mps2=float(a),
             scheduled_s=float(scheduled),
             command=memory.command,
-            stop_use=assists.work_share,
+            work_share=assists.work_share,
         )

@@ -235,7 +235,7 @@ class DrivingTask(AbstractTask):
             acceleration_mps2=plant.acceleration_mps2,
             scheduled_s=scheduled_s(state),
             command=state.command,
-            stop_use=assists.work_share,
+            work_share=assists.work_share,
         )
 
     def row(self, state: DriveState) -> Index:

@@ -71,7 +71,7 @@ class _State(NamedTuple):
         acceleration_mps2: Acceleration over the last period.
         scheduled_s: Scheduled running time in force.
         command: Last command given.
-        stop_use: Share of the brakes' work along the way that station-stop braking takes; 0: it is planned
+        work_share: Share of the brakes' work along the way that station-stop braking takes; 0: it is planned
             with ``stop_mps2`` all the way.
     """
 
@@ -89,7 +89,7 @@ class _State(NamedTuple):
     acceleration_mps2: Scalar
     scheduled_s: Scalar
     command: Scalar
-    stop_use: float
+    work_share: float
 
 
 class FeatureContext(_State):
@@ -145,8 +145,8 @@ class FeatureContext(_State):
         """Times of ``coasting``, without the energy braked away and with the stop as it is planned."""
         way = self._way_m
         work = _along(self.stop_mps2) * (way[..., -1:] - way)
-        if self.stop_use:
-            work = self.stop_use * self.rows.stop_work_at(self.case, _along(self.position_m) + way)
+        if self.work_share:
+            work = self.work_share * self.rows.stop_work_at(self.case, _along(self.position_m) + way)
         top = self._highest_mps(work)
         return _time_along(way, self.rows.xp.minimum(self._coast(0.5 * top * top), top[None]))
 
@@ -200,7 +200,7 @@ def feature_context(  # noqa: PLR0913 (the state of a run, field by field)
     acceleration_mps2: Array,
     scheduled_s: Array,
     command: Array,
-    stop_use: float,
+    work_share: float,
 ) -> FeatureContext:
     """Context of a state, in every engine that runs a policy. All numbers 0-d.
 
@@ -215,7 +215,7 @@ def feature_context(  # noqa: PLR0913 (the state of a run, field by field)
         acceleration_mps2: Acceleration over the last period.
         scheduled_s: Scheduled running time in force.
         command: Last command given.
-        stop_use: Share of the brakes' work along the way that station-stop braking takes; 0: none.
+        work_share: Share of the brakes' work along the way that station-stop braking takes; 0: none.
     """
     # a compiled step holds only the pieces of the track around its position
     track = found.track if rows.xp is np else near_track(found.track, found.vehicle, position_m)
@@ -234,7 +234,7 @@ def feature_context(  # noqa: PLR0913 (the state of a run, field by field)
         acceleration_mps2=acceleration_mps2,
         scheduled_s=scheduled_s,
         command=command,
-        stop_use=stop_use,
+        work_share=work_share,
     )
 
 

@@ -432,11 +432,11 @@ def _take_job(told: dict[str, Any], files: dict[str, bytes], ids: dict[str, str]
     kept = {name.removeprefix(prefix): data for name, data in files.items() if name.startswith(prefix)}
     try:
         # ids are words of their own, so that they are replaced wherever a request has them
-        request = request_values(body.model_validate(_renamed(given, ids)))
+        request = request_values(body.model_validate(_rename_ids(given, ids)))
         found = json.loads(kept.pop(RESULT, b"null"))
         run = ids.get(str(told.get("run"))) if kind == "learn" and kept else None
         if kind == "learn":
-            found = _renamed(found, ids)
+            found = _rename_ids(found, ids)
         if found is not None and result is not None:
             result.model_validate(found)
         elif found is not None and not set(found) >= CONVOY_RESULT:
@@ -511,8 +511,8 @@ async def _write_job(
         raise InputError(error.message, file=name, field=error.field) from None
 
 
-def _renamed(values: object, ids: Mapping[str, str]) -> Any:  # noqa: ANN401 (what JSON holds)
-    """Values with every id of the archive replaced by its new one."""
+def _rename_ids(values: object, ids: Mapping[str, str]) -> Any:  # noqa: ANN401 (what JSON holds)
+    """Replace every id of the archive by its new one."""
     return json.loads(NAMED.sub(lambda match: ids.get(match[0], match[0]), json.dumps(values)))
 
 

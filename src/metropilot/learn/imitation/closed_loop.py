@@ -234,7 +234,7 @@ class ClosedLoop:
             acceleration_mps2=plant.acceleration_mps2,
             scheduled_s=begin.scheduled_s,
             command=jnp.zeros((), jnp.float32),
-            stop_use=self.assists.work_share,
+            work_share=self.assists.work_share,
         )
 
         def choose(_: None, __: RunState) -> tuple[Command, None]:

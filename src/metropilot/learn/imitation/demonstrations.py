@@ -130,7 +130,7 @@ class DemonstrationGenerator:
             acceleration_mps2=nothing,
             scheduled_s=np.full_like(position_m, self.scheduled_s),
             command=nothing,
-            stop_use=DOMAIN_ASSISTS.work_share,
+            work_share=DOMAIN_ASSISTS.work_share,
         )
         values = [
             np.broadcast_to(v, position_m.shape)

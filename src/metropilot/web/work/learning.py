@@ -20,6 +20,11 @@ def recipe_fields(body: dict[str, Any]) -> dict[str, Any]:
     return {name: body[name] for name in ("steps", "evaluations") if body[name] is not None}
 
 
+def _told(body: dict[str, Any]) -> dict[str, Any]:
+    """What the request of a learning job says of its run beside the driver."""
+    return {name: body[name] for name in ("budget", "task", "seed")} | recipe_fields(body)
+
+
 def learn_job(root: str, job: str, body: dict[str, Any], run: str | None) -> dict[str, Any]:
     """Start a learning run, or resume one.
 
@@ -47,8 +52,7 @@ def learn_job(root: str, job: str, body: dict[str, Any], run: str | None) -> dic
         record = runs.show(run)
         request = resume_request(record)
     else:
-        what = {"budget": body["budget"], "task": body["task"], "seed": body["seed"]}
-        request = new_request(body["driver"], **what, **recipe_fields(body))
+        request = new_request(body["driver"], **_told(body))
         record = begin_run(runs, request)
     store.update(job, run=record.id)
     told = runs.folder(record.id) / PROGRESS
@@ -129,8 +133,7 @@ def check_run(folder: str, body: dict[str, Any], resumable: bool) -> bool:
         load_driving_policy(path / POLICY_FILE)
     if not resumable:
         return True
-    what = {"budget": body["budget"], "task": body["task"], "seed": body["seed"]}
-    request = new_request(body["driver"], **what, **recipe_fields(body))
+    request = new_request(body["driver"], **_told(body))
     asked = (request.config, request.name, request.seed, request.driver)
     return asked == (record.configuration(), record.task, record.seed, record.driver)
 
