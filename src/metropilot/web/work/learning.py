@@ -21,7 +21,7 @@ def recipe_fields(body: dict[str, Any]) -> dict[str, Any]:
 
 
 def _told(body: dict[str, Any]) -> dict[str, Any]:
-    """What the request of a learning job says of its run beside the driver."""
+    """Request of a learning job without its driver."""
     return {name: body[name] for name in ("budget", "task", "seed")} | recipe_fields(body)
 
 
