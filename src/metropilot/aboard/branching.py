@@ -297,7 +297,9 @@ class BranchTracer:
         return Symbol(self, found)
 
     def accumulate(self, ufunc: np.ufunc, values: Symbol) -> Symbol:
-        """Running result of a function of two numbers along an array."""
+        """Running result of a function of two numbers along the last axis of an array."""
+        if values.ndim > 1:
+            return self.apply(f"{ufunc.__name__}.accumulate", values)
         found = [values[0]]
         for each in list(values)[1:]:
             found.append(ufunc(found[-1], each))
@@ -699,6 +701,7 @@ class _Hole:
 
 def _function(name: str) -> Callable[..., Any]:
     """The function of JAX of a name, in operations that have a form in C."""
+    import jax
     import jax.numpy as jnp
 
     def take(values: Any, places: Any) -> Any:  # noqa: ANN401 (arrays)
@@ -747,6 +750,7 @@ def _function(name: str) -> Callable[..., Any]:
         "diagonal": lambda x: jnp.stack([x[k, k] for k in range(x.shape[0])]),
         "min": jnp.min,
         "max": jnp.max,
+        "minimum.accumulate": lambda x: jax.lax.cummin(x, x.ndim - 1),
     }
     return own.get(name) or getattr(jnp, name)
 

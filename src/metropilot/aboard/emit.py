@@ -423,6 +423,8 @@ class _Emitter:
             return self.product(node, target, indent)
         if node.op == "gather":
             return self.gather(node, target(index), index, shape, indent)
+        if node.op == "cummin" and not node.params["reverse"]:
+            return self.running(node, target, indent)
         if node.op == "argmax":
             return self.largest(node, target(index), indent)
         raise InputError(f"the driver needs the operation {node.op}, which has no form in C", field="to")
@@ -543,6 +545,15 @@ class _Emitter:
             return _loops(shape, lines, indent)
         return [f"{depth}{{", *(f"{depth}    {line}" for line in lines), f"{depth}}}"]
 
+    def running(self, node: Operation, target: Callable[[list[str]], str], indent: str) -> list[str]:
+        """Least entries so far along an axis."""
+        (arg,), axis, kind = node.args, node.params["axis"], TYPES[node.dtype.name]
+        index = [f"i{k}" for k in range(len(node.shape))]
+        step = self.apply("min", ["s", self.at(arg, index)], node.dtype, node.dtype)
+        along = _loops([node.shape[axis]], [f"s = {step};", f"{target(index)} = s;"], "", [index.pop(axis)])
+        shape = [n for k, n in enumerate(node.shape) if k != axis]
+        return _loops(shape, [f"{kind} s = ({kind})INFINITY;", *along], indent, index)
+
     def concatenate(self, node: Operation, target: Callable[[list[str]], str], indent: str) -> list[str]:
         """Arrays one after the other."""
         stacked = node.op == "stack"
@@ -578,6 +589,12 @@ class _Emitter:
         at_left.insert(k_left, "k")
         at_right.insert(k_right, "k")
         zero = literal(0, node.dtype)
+        if _sums_before(right) and k_right == 0:
+            # the same sums to the last bit, without the terms that are multiplied by zero
+            add = self.apply("add", ["s", self.at(left, at_left)], node.dtype, node.dtype)
+            inner = [f"{target([*i, 'k'])} = s;", f"s = {add};"]
+            lines = [f"{TYPES[node.dtype.name]} s = {zero};", *_loops([left.shape[k_left]], inner, "", ["k"])]
+            return _loops(rows, [*lines, f"{target([*i, str(columns[0] - 1)])} = s;"], indent, i)
         term = self.apply("mul", [self.at(left, at_left), self.at(right, at_right)], node.dtype, node.dtype)
         add = self.apply("add", [out, term], node.dtype, node.dtype)
         inner = _loops(columns, [f"{out} = {add};"], "", j)
@@ -725,6 +742,8 @@ class _Emitter:
             return f"({values[0]} {COMPARISONS[op]} {values[1]})"
         if op in LOGIC and dtype.kind == "b":
             return f"({values[0]} {LOGIC[op]} {values[1]})"
+        if op in {"max", "min", "clamp"} and given.kind == "f" and node is not None:
+            return self.bounded(node, values, kind)
         if op in CALLS and given.kind == "f":
             return f"{CALLS[op]}_{kind}({', '.join(values)})"
         if op in {"max", "min"}:
@@ -737,11 +756,27 @@ class _Emitter:
             "square": lambda x: f"({x} * {x})",
             "sqrt": lambda x: f"{'sqrt' if kind == 'f64' else 'sqrtf'}({x})",
             "logistic": lambda x: f"({literal(1.0, dtype)} / ({literal(1.0, dtype)} + exp_{kind}(-{x})))",
-            "clamp": lambda low, x, high: f"min_{kind}(max_{kind}({x}, {low}), {high})",
         }
         if op in written:
             return written[op](*values)
         return self.special(op, values, given, dtype, params, node)
+
+    def bounded(self, node: Operation, values: list[str], kind: str) -> str:
+        """Expression of the larger or smaller of two numbers, of which a constant needs no test for NaN."""
+
+        def bound(op: str, first: tuple[Operation, str], second: tuple[Operation, str]) -> str:
+            # of two zeros the first is taken
+            for (limit, constant), (_, other) in ((second, first), (first, second)):
+                value = limit.params["value"].flat[0] if is_uniform(limit) else np.nan
+                if value == value and (value != 0.0 or limit is second[0]):
+                    return f"at_{'least' if op == 'max' else 'most'}_{kind}({other}, {constant})"
+            return f"{op}_{kind}({first[1]}, {second[1]})"
+
+        parts = list(zip(node.args, values, strict=True))
+        if node.op != "clamp":
+            return bound(node.op, *parts)
+        low, (x, value), high = parts
+        return bound("min", (x, bound("max", (x, value), low)), high)
 
     def special(
         self,
@@ -831,6 +866,13 @@ def _flatten(
             order += _flatten(sides.get(id(side), side.nodes), sides)
         order.append(node)
     return order
+
+
+def _sums_before(node: Operation) -> bool:
+    """Tell if a product by this matrix gives the sums of all terms before each entry, the last of all."""
+    if node.op != "const" or len(node.shape) != 2 or node.shape[1] != node.shape[0] + 1:
+        return False
+    return np.array_equal(node.params["value"], np.tri(*node.shape[::-1], -1).T)
 
 
 def _base(node: Operation) -> Operation:

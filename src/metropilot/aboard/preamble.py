@@ -14,6 +14,12 @@ static TYPE max_SHORT(TYPE a, TYPE b) { return (a >= b || a != a) ? a : b; }
 /* the smaller number; NaN wins */
 static TYPE min_SHORT(TYPE a, TYPE b) { return (a <= b || a != a) ? a : b; }
 
+/* a number, but no less than a constant; NaN stays */
+static TYPE at_least_SHORT(TYPE x, TYPE least) { return x < least ? least : x; }
+
+/* a number, but no more than a constant; NaN stays */
+static TYPE at_most_SHORT(TYPE x, TYPE most) { return x > most ? most : x; }
+
 static TYPE abs_SHORT(TYPE x) { return x < 0 ? -x : x; }
 
 static bool finite_SHORT(TYPE x) { return x - x == 0; }

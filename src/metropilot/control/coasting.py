@@ -38,14 +38,12 @@ def _up_to(dtype: np.dtype) -> np.ndarray:
 
 @no_type_check
 def _least_so_far(values: Float[Array, "... nodes"]) -> Float[Array, "... nodes"]:
-    """Least of the values up to each node, in operations that have a form in C."""
-    if isinstance(values, np.ndarray):
+    """Least of the values up to each node."""
+    if hasattr(values, "__array_ufunc__"):
         return np.minimum.accumulate(values, -1)
-    xp, step = namespace(values), 1
-    while step < values.shape[-1]:
-        later = xp.minimum(values[..., step:], values[..., :-step])
-        values, step = xp.concatenate([values[..., :step], later], -1), 2 * step
-    return values
+    import jax
+
+    return jax.lax.cummin(values, values.ndim - 1)
 
 
 @no_type_check
