@@ -2,8 +2,9 @@
 
 ``python -m benchmarks.chen2023a_tuning LEARNER [TRIALS]`` writes one JSON line a trial into the folder
 ``trials`` of the study, which takes its settings there, and goes on from what it finds. PPO with and without
-scaling try the same settings. A trial learns a few thousand episodes on the study's tuning seeds, which no
-table reports; its score is the mean evaluation return over the second half of the learning.
+scaling try the same settings, and so do DDPG and TD3. A trial learns a few thousand episodes on the study's
+tuning seeds, which no table reports; its score is the mean evaluation return over the second half of the
+learning.
 """
 
 from __future__ import annotations
@@ -21,24 +22,29 @@ from metropilot.learn import AbstractConfig
 from metropilot.studies.chen2023a import (
     BASE_DDPG,
     BASE_PPO,
+    BASE_TD3,
     FOLDER,
     TRIALS,
     TUNING_EPISODES,
     TUNING_SEEDS,
+    schedules_of,
     set_length,
     trials,
 )
 
 PPO_SPACE: dict[str, tuple[float, ...]] = {
     "learning_rate": (1e-4, 3e-4, 1e-3),
+    "decay": (1.0, 0.1),
     "lambda_": (0.9, 0.95, 0.99),
     "gamma": (0.99, 0.997, 1.0),
+    "clip": (0.1, 0.2),
     "initial_std": (0.2, 0.4, 0.6),
     "entropy": (0.0, 0.003),
 }
 DDPG_SPACE: dict[str, tuple[float, ...]] = {
     "actor_rate": (1e-4, 3e-4, 1e-3),
     "critic_rate": (3e-4, 1e-3, 3e-3),
+    "decay": (1.0, 0.1),
     "gamma": (0.99, 0.997, 1.0),
     "noise": (0.1, 0.2, 0.4),
     "tau": (0.001, 0.005, 0.02),
@@ -47,6 +53,7 @@ BASES: dict[str, tuple[AbstractConfig, dict[str, tuple[float, ...]]]] = {
     "ppo": (BASE_PPO, PPO_SPACE),
     "ppo_scaled": (replace(BASE_PPO, reward_scaling=True), PPO_SPACE),
     "ddpg": (BASE_DDPG, DDPG_SPACE),
+    "td3": (BASE_TD3, DDPG_SPACE),
 }
 Values = dict[str, float]
 
@@ -54,7 +61,7 @@ Values = dict[str, float]
 def settings(base: AbstractConfig, space: dict[str, tuple[float, ...]], trials: int) -> list[Values]:
     """Settings that are tried: the base settings first, then random ones, the same in every call."""
     draw = random.Random(2023)
-    first = {name: float(getattr(base, name)) for name in space}
+    first = {name: 1.0 if name == "decay" else float(getattr(base, name)) for name in space}
     return [first] + [
         {name: draw.choice(values) for name, values in space.items()} for _ in range(trials - 1)
     ]
@@ -76,7 +83,7 @@ def program(base: AbstractConfig) -> Callable[[Values], dict[str, Any]]:
 
     def run(values: dict[str, Any]) -> dict[str, Any]:
         told = copy.copy(config)
-        for name, value in values.items():
+        for name, value in schedules_of(values).items():
             object.__setattr__(told, name, value)
         return jax.lax.map(lambda key: learn(told, task, key, evaluate)[1], keys)
 

@@ -120,6 +120,7 @@ def test_learners_refuse_the_wrong_kind_of_action():
 
 SOLVE = {"gamma": 0.95, "environments": 8, "evaluations": 5, "evaluation_steps": 40, "hidden": (32, 32)}
 REPLAY = {"warmup": 512, "buffer_size": 40_000, "batch_size": 128, "tau": 0.02, "updates": 2}
+TD3 = {"twin": True, "smoothing": 0.2, "delay": 2}
 SOLVERS = {
     # Within which share of the optimum's cost; five choices cannot do better than about 1.15.
     "ppo": (
@@ -128,6 +129,7 @@ SOLVERS = {
     ),
     "sac": (SACConfig(**SOLVE, **REPLAY, steps=24_000, actor_rate=1e-3, initial_temperature=0.05), 1.15),
     "ddpg": (DDPGConfig(**SOLVE, **REPLAY, steps=48_000), 1.4),
+    "td3": (DDPGConfig(**SOLVE, **REPLAY, **TD3, steps=48_000), 1.4),
     "dqn": (
         DQNConfig(**SOLVE, **REPLAY, steps=48_000, learning_rate=1e-3, double=True, target_period=0),
         1.4,

@@ -102,10 +102,19 @@ def test_ppo_losses():
 
 def test_ddpg_losses():
     # y = 1 + 0.9 * 2 = 2.8 and 1 + 0 = 1; ((3 - 2.8)^2 + (0 - 1)^2) / 2 = 0.52; actor: -(3 + 5) / 2 = -4
-    wanted = ddpg.critic_target(f(1, 1), f(0.9, 0), f(2, 2))
+    wanted = ddpg.critic_target(f(1, 1), f(0.9, 0), f(2, 2)[None])
     assert_close(wanted, [2.8, 1.0])
-    assert_close(ddpg.critic_loss(f(3, 0), wanted), 0.52)
+    assert_close(ddpg.critic_loss(f(3, 0)[None], wanted), 0.52)
     assert_close(ddpg.actor_loss(f(3, 5)), -4.0)
+
+
+def test_twin_critics_take_the_lower_one():
+    # y = 1 + 0.9 * min(2, 3) = 2.8 and 1 + 0.9 * min(5, 1) = 1.9
+    both = jnp.stack([f(2, 5), f(3, 1)])
+    wanted = ddpg.critic_target(f(1, 1), f(0.9, 0.9), both)
+    assert_close(wanted, [2.8, 1.9])
+    # of each critic the mean of both squares: 0.8 and 3.1 off, 0.2 and 0.9 off
+    assert_close(ddpg.critic_loss(both, wanted), 0.5 * (0.64 + 9.61) + 0.5 * (0.04 + 0.81))
 
 
 def test_sac_losses():

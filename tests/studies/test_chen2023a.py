@@ -62,8 +62,10 @@ def test_a_step_costs_its_energy_and_its_change_of_acceleration():
     ("end", "total"),
     [
         ({"arrived": True, "late_s": 8.0}, 100.0),  # 88 s: the threshold itself is in time
-        ({"arrived": True, "late_s": 8.5}, -100.0),
-        ({"arrived": True, "late_s": -8.5}, -100.0),  # eq. 17 takes the size of the deviation
+        ({"arrived": True, "late_s": 10.0}, 0.0),  # half of the 4 s over which the bonus turns
+        ({"arrived": True, "late_s": 12.0}, -100.0),
+        ({"arrived": True, "late_s": 99.0}, -100.0),
+        ({"arrived": True, "late_s": -12.0}, -100.0),  # eq. 17 takes the size of the deviation
         ({"arrived": False, "late_s": 0.0, "error_m": -500.0}, -100.0 - 100.0 - 50.0),
     ],
 )

@@ -419,12 +419,10 @@ class _Emitter:
             return self.reduction(node, target(index), index, shape, indent)
         if node.op in {"concatenate", "stack"}:
             return self.concatenate(node, target, indent)
-        if node.op == "dot_general":
-            return self.product(node, target, indent)
+        if node.op in {"dot_general", "cummin"}:
+            return (self.product if node.op == "dot_general" else self.running)(node, target, indent)
         if node.op == "gather":
             return self.gather(node, target(index), index, shape, indent)
-        if node.op == "cummin" and not node.params["reverse"]:
-            return self.running(node, target, indent)
         if node.op == "argmax":
             return self.largest(node, target(index), indent)
         raise InputError(f"the driver needs the operation {node.op}, which has no form in C", field="to")
@@ -547,6 +545,10 @@ class _Emitter:
 
     def running(self, node: Operation, target: Callable[[list[str]], str], indent: str) -> list[str]:
         """Least entries so far along an axis."""
+        if node.params["reverse"]:
+            raise InputError(
+                "the driver needs a running minimum from behind: no form in C", field="to"
+            )
         (arg,), axis, kind = node.args, node.params["axis"], TYPES[node.dtype.name]
         index = [f"i{k}" for k in range(len(node.shape))]
         step = self.apply("min", ["s", self.at(arg, index)], node.dtype, node.dtype)
@@ -768,7 +770,7 @@ class _Emitter:
             # of two zeros the first is taken
             for (limit, constant), (_, other) in ((second, first), (first, second)):
                 value = limit.params["value"].flat[0] if is_uniform(limit) else np.nan
-                if value == value and (value != 0.0 or limit is second[0]):
+                if not np.isnan(value) and (value != 0.0 or limit is second[0]):
                     return f"at_{'least' if op == 'max' else 'most'}_{kind}({other}, {constant})"
             return f"{op}_{kind}({first[1]}, {second[1]})"
 

@@ -122,17 +122,24 @@ class OnTime(AbstractTerm):
     Attributes:
         bonus: The bonus (Chen23a eq. 17).
         allowed_s: Largest deviation that earns it.
+        soft_s: Further deviation over which the bonus falls to its negative, evenly; 0: at once, as printed.
     """
 
     name = "on_time"
     bonus: float = 100.0
     allowed_s: float = 8.0
+    soft_s: float = 0.0
 
     def value(self, change: PeriodChange) -> Scalar:
-        """Plus or minus the bonus, at the end only."""
+        """Plus or minus the bonus, or what is between them, at the end only."""
         xp = namespace(change.late_s)
-        won = change.arrived & (xp.abs(change.late_s) <= self.allowed_s)
-        return xp.where(change.ended, xp.where(won, self.bonus, -self.bonus), 0.0 * change.late_s)
+        beyond_s = xp.abs(change.late_s) - self.allowed_s
+        if self.soft_s > 0.0:
+            share = xp.clip(1.0 - 2.0 * beyond_s / self.soft_s, -1.0, 1.0)
+        else:
+            share = xp.where(beyond_s <= 0.0, 1.0, -1.0)
+        won = xp.where(change.arrived, share, -1.0)
+        return xp.where(change.ended, self.bonus * won, 0.0 * change.late_s)
 
 
 @final

@@ -214,7 +214,7 @@ class DQNConfig(AbstractReplayConfig):
 
 @dataclass(frozen=True)
 class DDPGConfig(AbstractReplayConfig):
-    """Deep deterministic policy gradient.
+    """Deep deterministic policy gradient; ``twin``, ``smoothing`` and ``delay`` make it TD3.
 
     Attributes:
         actor_rate: Adam's learning rate of the actor.
@@ -225,6 +225,9 @@ class DDPGConfig(AbstractReplayConfig):
         initial_bias: Action at first, before tanh.
         saturation_cost: Price of the squared size, before tanh, of what the actor asks for: at the ends of
             its range tanh lets no gradient pass, and an actor that went there does not come back.
+        twin: Two critics, of which the lower one makes the target (Fujimoto et al. 2018).
+        smoothing: Deviation of the noise on the target's action; it is cut at 2.5 times as much.
+        delay: Steps of the critics for one of the actor and the targets.
     """
 
     algorithm: ClassVar[str] = "ddpg"
@@ -240,6 +243,9 @@ class DDPGConfig(AbstractReplayConfig):
     noise_pull: float = declare(0.15, low=0.0, high=1.0)
     initial_bias: float = 0.0
     saturation_cost: float = declare(0.0, low=0.0)
+    twin: bool = False
+    smoothing: float = declare(0.0, low=0.0)
+    delay: int = declare(1, low=1)
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,7 @@
-"""Deep deterministic policy gradient. Source: Lillicrap et al. 2016, algorithm 1 and eqs. 4 to 6."""
+"""Deep deterministic policy gradient (Lillicrap et al. 2016, algorithm 1), and its twin-critic form, TD3.
+
+Numbers of equations are those of Lillicrap et al. 2016; TD3 is Fujimoto, van Hoof and Meger 2018.
+"""
 
 from __future__ import annotations
 
@@ -9,21 +12,21 @@ from metropilot._typing import Float
 
 
 def critic_target(
-    reward: Float[jax.Array, " B"], discount: Float[jax.Array, " B"], next_value: Float[jax.Array, " B"]
+    reward: Float[jax.Array, " B"], discount: Float[jax.Array, " B"], next_values: Float[jax.Array, "Q B"]
 ) -> Float[jax.Array, " B"]:
-    """``y = r + discount * Q'(s', mu'(s'))`` (eq. 5).
+    """``y = r + discount * min_i Q'_i(s', mu'(s'))`` (eq. 5; with two critics TD3's eq. 10).
 
     Args:
         reward: Discounted sum over the n steps.
         discount: gamma^n, zero where the episode terminated.
-        next_value: The target critic at the target actor's action.
+        next_values: The target critics, one or two, at the target actor's action.
     """
-    return jax.lax.stop_gradient(reward + discount * next_value)
+    return jax.lax.stop_gradient(reward + discount * jnp.min(next_values, axis=0))
 
 
-def critic_loss(value: Float[jax.Array, " B"], target: Float[jax.Array, " B"]) -> Float[jax.Array, ""]:
-    """``mean (Q(s, a) - y)^2`` (eq. 4)."""
-    return jnp.mean((value - target) ** 2)
+def critic_loss(values: Float[jax.Array, "Q B"], target: Float[jax.Array, " B"]) -> Float[jax.Array, ""]:
+    """``mean (Q_i(s, a) - y)^2`` (eq. 4), the sum over the critics."""
+    return jnp.sum(jnp.mean((values - target[None, :]) ** 2, axis=1))
 
 
 def actor_loss(value: Float[jax.Array, " B"]) -> Float[jax.Array, ""]:

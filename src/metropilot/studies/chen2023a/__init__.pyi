@@ -1,9 +1,11 @@
 from .learning import BASE_DDPG as BASE_DDPG
 from .learning import BASE_PPO as BASE_PPO
+from .learning import BASE_TD3 as BASE_TD3
 from .learning import FOLDER as FOLDER
 from .learning import TRIALS as TRIALS
 from .learning import TUNING_EPISODES as TUNING_EPISODES
 from .learning import TUNING_SEEDS as TUNING_SEEDS
+from .learning import schedules_of as schedules_of
 from .learning import set_length as set_length
 from .learning import trials as trials
 from .setting import make_assisted as make_assisted

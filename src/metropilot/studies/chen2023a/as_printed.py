@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, final
 
-from metropilot.env import AbstractTerm, Assists, Comfort, DrivingTask, Energy
+from metropilot.env import AbstractTerm, Assists, Comfort, CommandAction, DrivingTask, Energy
 from metropilot.physics import namespace
 from metropilot.sim import Outcome
 from metropilot.studies.chen2023a import drives
@@ -17,7 +17,7 @@ from metropilot.studies.chen2023a.setting import (
     COMFORT,
     EPISODES,
     PRESCRIBED_S,
-    STOP_MPS2,
+    SOFT_S,
     THRESHOLD_S,
     UNASSISTED_TOLERANCE_M,
     make_evaluation,
@@ -67,7 +67,8 @@ def literal_task() -> DrivingTask:
     rewards = (Energy(), Comfort(weight=COMFORT), OnTimeAtDestination())
     config, bare = task_config(), Assists(stop=False, ceiling=False)
     rule = replace(config.outcomes, tolerance_m=0.0, give_up_m=0.0, stalled_s=float("inf"))
-    return DrivingTask(replace(config, rewards=rewards, assists=bare, outcomes=rule))
+    action = CommandAction()
+    return DrivingTask(replace(config, action=action, rewards=rewards, assists=bare, outcomes=rule))
 
 
 def literal_configs(budget: str) -> dict[str, AbstractConfig]:
@@ -133,13 +134,13 @@ SETTINGS = (
     PrintedSetting(
         "state and action (eqs. 10 to 12)",
         "position and speed; share of the available force",
-        "the same",
+        "the same; an action up to 0.2 coasts, one from 0.8 on is full effort",
         "protection keeps the speed within the limit (eq. 12), by braking.",
     ),
     PrintedSetting(
         "assists",
         "none",
-        f"station stop at {STOP_MPS2:g} m/s², ceiling below the speed limit",
+        "station stop as late as the brakes allow, ceiling below the speed limit",
     ),
     PrintedSetting(
         "end of a run",
@@ -151,7 +152,8 @@ SETTINGS = (
     PrintedSetting(
         "reward (eqs. 16 and 17)",
         "energy, comfort, ± a large number at arrival",
-        "the same, and a price of runs that never arrive",
+        f"the same, but over {SOFT_S:g} s beyond the time allowed the bonus turns into its negative; and a "
+        "price of runs that never arrive",
         f"no coefficient is printed: those of this study ({COMFORT:g} for comfort, {BIG:g} at the end). "
         f"A run that has not arrived {1.25 * PRESCRIBED_S + 30:g} s after departure ends like a late one.",
     ),

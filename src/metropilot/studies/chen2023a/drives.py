@@ -35,6 +35,8 @@ Values = Float[ndarray, " chunks"]
 
 CONSTANT, CONSTANTS = "constant command", 96
 """Driver without learning, and the number of commands from 0.05 to 1 that are tried."""
+COAST, COAST_COMMANDS, COAST_PLACES = "command, then coasting", 13, 221
+"""Driver without learning; commands from 0.4 to 1 and places from 50 to 600 m that are tried."""
 CLOSE = 0.1
 """A return is near the final one when it differs by at most this share of it."""
 KEPT = 0.95
@@ -133,6 +135,7 @@ AFTER = 4000.0
 """The paper judges the running time from this episode on."""
 SHARE, EPISODES_KPI = "share of seeds converged", "episodes to converge (of those that did)"
 MOST_ENERGY, HIGHEST_IMPACT = "place in energy, 1 is most", "place in impact rate, 1 is highest"
+ABOVE = "above the optimum in the same running time"
 LEARNING, DRIVING = "episodes with exploration", "the policy itself"
 KINDS = ((LEARNING, "learning"), (DRIVING, "driving"))
 REWARD, LOSS, TIME = "Figures 5 to 7: reward", "Figures 8 to 10: loss", "Figures 11 to 13: running time"
@@ -178,25 +181,50 @@ def reward_rows(courses: Courses) -> Iterator[ReportRow]:
             yield make_row(REWARD, case, name, "final return", "", returns)
 
 
-def constant_rows() -> Iterator[ReportRow]:
-    """Rows of the best constant command: the simplest driver of the task, with the same assists."""
+def rule_rows(least: Bound) -> Iterator[ReportRow]:
+    """Rows of the simplest drivers of the task, tuned on it and with the same assists.
+
+    A constant command, and a constant command up to a place from which the trainset coasts.
+
+    Args:
+        least: Certified least energy at a running time.
+    """
     import jax
     import jax.numpy as jnp
 
     task = make_assisted()
     begin = task.begin(jax.tree.map(lambda x: x[0], starts([0], [PRESCRIBED_S])))
     decisions, key = longest_decisions(task), jax.random.key(0)
+    full, coast = task.config.action.full, task.config.action.coast
 
-    def run(command: Array) -> tuple[Array, Array]:
-        state, returned = drive_to_end(task, lambda _, __: command[None], begin, key, decisions)
-        return returned, episode_of(task, state).running_time_s
+    def run(rule: tuple[Array, Array]) -> tuple[Array, Array, Array]:
+        command, place_km = rule
 
-    commands = jnp.linspace(0.05, 1.0, CONSTANTS)
-    returned, times = jax.jit(jax.vmap(run))(commands)
-    best = int(jnp.argmax(returned))
-    yield ReportRow(REWARD, DRIVING, CONSTANT, "final return", "", ours=float(returned[best]))
-    yield ReportRow(REWARD, DRIVING, CONSTANT, "command", "", ours=float(commands[best]))
-    yield ReportRow(TIME, DRIVING, CONSTANT, "final running time", "s", ours=float(times[best]))
+        def decide(observation: Array, _: Array) -> Array:
+            return jnp.where(observation[0] < place_km, coast + (full - coast) * command, 0.0)[None]
+
+        state, returned = drive_to_end(task, decide, begin, key, decisions)
+        end = episode_of(task, state)
+        return returned, end.running_time_s, end.wheel_j / J_PER_KWH
+
+    commands, ever = jnp.linspace(0.05, 1.0, CONSTANTS), jnp.full(CONSTANTS, jnp.inf)
+    grid = [
+        jnp.ravel(x)
+        for x in jnp.meshgrid(jnp.linspace(0.4, 1.0, COAST_COMMANDS), jnp.linspace(0.05, 0.6, COAST_PLACES))
+    ]
+    search = jax.jit(partial(jax.lax.map, run, batch_size=CONSTANTS))
+    for name, rules in ((CONSTANT, (commands, ever)), (COAST, tuple(grid))):
+        returned, times, energies = search(rules)
+        best = int(jnp.argmax(returned))
+        time_s, energy_kwh = float(times[best]), float(energies[best])
+        yield ReportRow(REWARD, DRIVING, name, "final return", "", ours=float(returned[best]))
+        yield ReportRow(REWARD, DRIVING, name, "command", "", ours=float(rules[0][best]))
+        if name == COAST:
+            yield ReportRow(REWARD, DRIVING, name, "coasts from", "m", ours=1000.0 * float(rules[1][best]))
+        yield ReportRow(TIME, DRIVING, name, "final running time", "s", ours=time_s)
+        yield ReportRow(ENERGY, DRIVING, name, "final energy", "kWh", ours=energy_kwh, optimum=least(time_s))
+        if bound := least(time_s):
+            yield ReportRow(ENERGY, DRIVING, name, ABOVE, "%", ours=100.0 * (energy_kwh / bound - 1.0))
 
 
 def find_convergences(mine: Sequence[DriveCourse], kind: str) -> list[float | None]:
@@ -234,13 +262,12 @@ def energy_rows(courses: Courses, least: Bound) -> Iterator[ReportRow]:
     for name, mine in courses.items():
         arrived = [one for one in mine if final(one.driving["arrived"]) > 0.5]
         used = [final(one.driving["energy_kwh"]) for one in arrived]
-        best = [least(final(one.driving["running_time_s"])) for one in arrived]
-        known = [(e, b) for e, b in zip(used, best, strict=True) if b is not None]
-        optimum = float(np.median([b for _, b in known])) if known else None
+        known = [b for one in arrived if (b := least(final(one.driving["running_time_s"]))) is not None]
+        optimum = float(np.median(known)) if known else None
         row = ReportRow(ENERGY, DRIVING, name, "final energy", "kWh", optimum=optimum)
         yield row.with_values(used) if used else row
-        row = ReportRow(ENERGY, DRIVING, name, "above the optimum in the same running time", "%")
-        yield row.with_values([100.0 * (e / b - 1.0) for e, b in known]) if known else row
+        row, gaps = ReportRow(ENERGY, DRIVING, name, ABOVE, "%"), find_gaps(mine, least)
+        yield row.with_values(gaps) if gaps else row
     for name, mine in courses.items():
         used = [final(one.learning["energy_kwh"]) for one in mine]
         yield make_row(ENERGY, LEARNING, name, "final energy", "kWh", used)
@@ -276,10 +303,11 @@ def stop_rows(courses: Courses) -> Iterator[ReportRow]:
         yield make_row(STOP, DRIVING, name, "final stopping error", "m", errors)
 
 
-def outcome_rows(table: str, courses: Courses) -> Iterator[ReportRow]:
-    """Convergence, final return and running time of learners or variants beyond the paper."""
+def outcome_rows(table: str, courses: Courses, least: Bound) -> Iterator[ReportRow]:
+    """Convergence, final return, running time and energy of learners or variants beyond the paper."""
     for case, mine in courses.items():
-        driver = "ddpg" if "ddpg" in case else "ppo_scaled" if "scaled" in case else "ppo"
+        driver = next((name for name in ("ddpg", "td3") if name in case), "ppo")
+        driver = "ppo_scaled" if "scaled" in case else driver
         at = find_convergences(mine, "learning")
         row = partial(make_row, table, case, driver)
         yield row(SHARE, "", [float(np.mean([a is not None for a in at]))])
@@ -287,3 +315,13 @@ def outcome_rows(table: str, courses: Courses) -> Iterator[ReportRow]:
             yield row(EPISODES_KPI, "episodes", there)
         yield row("final return of the policy itself", "", [final(one.driving["return"]) for one in mine])
         yield row("final running time", "s", [final(one.driving["running_time_s"]) for one in mine])
+        if gaps := find_gaps(mine, least):
+            yield row(ABOVE, "%", gaps)
+
+
+def find_gaps(mine: Sequence[DriveCourse], least: Bound) -> list[float]:
+    """Energy of the final policies that arrive above the optimum in their running time, %."""
+    arrived = [one for one in mine if final(one.driving["arrived"]) > 0.5]
+    used = [final(one.driving["energy_kwh"]) for one in arrived]
+    best = [least(final(one.driving["running_time_s"])) for one in arrived]
+    return [100.0 * (e / b - 1.0) for e, b in zip(used, best, strict=True) if b is not None]

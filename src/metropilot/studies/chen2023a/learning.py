@@ -11,22 +11,24 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
-from metropilot.learn import DDPGConfig, PPOConfig
+from metropilot.learn import DDPGConfig, PPOConfig, Schedule
 from metropilot.studies.chen2023a.setting import make_assisted, make_evaluation, make_unassisted
 from metropilot.studies.learning import LearnJob
 
 if TYPE_CHECKING:
     from metropilot.learn import AbstractConfig
 
-TRIALS = 6
+TRIALS = 40
 """Settings tried for each learner on :data:`TUNING_SEEDS` by ``benchmarks/chen2023a_tuning.py``."""
 TUNING_SEEDS = (101, 102)
-TUNING_EPISODES = 3_000
+TUNING_EPISODES = 2_000
 DECISIONS = 85
 """Decisions in an episode that arrives about on time; converts the paper's episodes to steps."""
 
 FIRST_COMMAND = 0.8
 """Mean command of every policy before learning: large enough that some episodes arrive in time."""
+DECAYING = ("learning_rate", "actor_rate", "critic_rate", "noise")
+"""What the setting ``decay`` of a trial multiplies at the end of the learning, falling evenly to it."""
 BASE_PPO = PPOConfig(environments=16, rollout=128, minibatches=16, initial_bias=FIRST_COMMAND, gamma=1.0)
 BASE_DDPG = DDPGConfig(
     environments=16,
@@ -34,12 +36,15 @@ BASE_DDPG = DDPGConfig(
     batch_size=64,
     buffer_size=96_000,
     initial_bias=math.atanh(FIRST_COMMAND),
-    gamma=0.997,
-    noise=0.3,
-    n_step=5,
+    warmup=2_000,
+    gamma=1.0,
+    noise=0.2,
+    n_step=40,
     reward_factor=0.01,
     normalise_observations=True,
 )
+"""The state has no time, so what an end is worth is told over many steps, not by the critic alone."""
+BASE_TD3 = replace(BASE_DDPG, twin=True, smoothing=0.2, delay=2)
 FOLDER = Path(__file__).parent / "trials"
 
 
@@ -49,10 +54,23 @@ def trials(learner: str) -> list[dict[str, Any]]:
     return [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
 
 
+def schedules_of(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Fields of a configuration by the settings of a trial, its ``decay`` as schedules."""
+    fields = dict(settings)
+    decay = fields.pop("decay", 1.0)
+    if isinstance(decay, float) and decay == 1.0:
+        return fields
+    return {
+        name: Schedule(value, decay * value) if name in DECAYING else value for name, value in fields.items()
+    }
+
+
 def tuned_config(learner: str, base: AbstractConfig) -> AbstractConfig:
     """Configuration of a learner with the best settings of its trials."""
     found = trials(learner)
-    return replace(base, **max(found, key=lambda one: one["mean"])["settings"]) if found else base
+    if not found:
+        return base
+    return replace(base, **schedules_of(max(found, key=lambda one: one["mean"])["settings"]))
 
 
 LEARNERS: Mapping[str, AbstractConfig] = MappingProxyType(
@@ -63,9 +81,11 @@ LEARNERS: Mapping[str, AbstractConfig] = MappingProxyType(
     }
 )
 """Configurations with the tuned settings."""
+BEYOND: Mapping[str, AbstractConfig] = MappingProxyType({"td3": tuned_config("td3", BASE_TD3)})
+"""Of learners that the paper does not have."""
 
 NAMES: Mapping[str, str] = MappingProxyType(
-    {"ppo": "PPO", "ppo_scaled": "PPO, reward scaling", "ddpg": "DDPG"}
+    {"ppo": "PPO", "ppo_scaled": "PPO, reward scaling", "ddpg": "DDPG", "td3": "TD3"}
 )
 
 
@@ -116,5 +136,5 @@ def jobs(
     ]
 
 
-SETTING = 1
+SETTING = 2
 """Version of the task; increment it when the task changes, so that stored runs are repeated."""
