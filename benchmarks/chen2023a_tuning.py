@@ -111,6 +111,7 @@ def main(learner: str, count: int = TRIALS) -> None:
     done, path = trials(learner), FOLDER / f"{learner}.jsonl"
     todo = settings(base, space, count)[len(done) :]
     learned = program(base) if todo else None
+    FOLDER.mkdir(exist_ok=True)
     for values in todo:
         assert learned is not None
         done.append(trial(learned, values))

@@ -11,6 +11,8 @@ from metropilot.learn import PPOConfig, RunRecord, config_to_mapping
 from metropilot.studies import Order, SeedResult, learn_seeds, learning
 from metropilot.studies.chen2023a import setting as published
 from metropilot.studies.chen2023a.drives import (
+    ABOVE,
+    COAST,
     REWARD,
     TIME,
     DriveCourse,
@@ -154,20 +156,23 @@ def test_the_whole_study_from_learning_runs_that_are_there(monkeypatch, tmp_path
     monkeypatch.setattr(learning, "learn_seeds", there)
     found = studies.reproduce("chen2023a", Order(tmp_path, "paper"))
     text = study_page(STUDY, found)
-    assert found.seeds == 5
+    assert found.seeds == 10
     assert len(found.figures) == 5
     write_figures(tmp_path / "figures", replace(found, figures=found.figures[2:3]))
     assert (tmp_path / "figures" / "running_time.png").stat().st_size < 120_000
-    assert "PPO: 5 of 5 seeds converged" in text
+    assert "PPO: 10 of 10 seeds converged" in text
     assert "fffffffff (other code than this page)" in text
     assert "| a machine | 2026-01-02 |" in text
     assert "| learning_rate |" in text
     assert len(found.as_dict()["learning"]) == len(found.learning) > 15
     assert "advantages not normalised, scaled" in text
     least = next(r for r in found.rows if r.case == "88 s" and r.kpi == "least energy")
-    soft = next(r for r in found.rows if r.case == "88 s" and "braking" in r.kpi)
-    # 300 t over 993 m in 88 s: about 9 kWh; braking more gently must cost more, not twice.
-    assert 8.0 < least.ours < 10.0 < soft.ours < 2 * least.ours
+    rule = {r.kpi: r.ours for r in found.rows if r.driver == COAST}
+    # 300 t over 993 m in 88 s: about 9 kWh. Two numbers, tuned, are an optimal drive but for the whole seconds.
+    assert 8.0 < least.ours < 10.0
+    assert 0.0 < rule[ABOVE] < 2.0
+    assert rule["final running time"] < published.THRESHOLD_S
+    assert any(r.driver == "td3" for r in found.rows)
 
 
 def test_runs_are_cut_into_whole_chunks_of_about_the_episodes_asked_for():
@@ -178,12 +183,12 @@ def test_runs_are_cut_into_whole_chunks_of_about_the_episodes_asked_for():
             assert told.evaluations == pytest.approx(size.chunks, rel=0.35)
 
 
-def test_a_full_command_arrives_in_time_by_the_assist():
+def test_half_a_command_arrives_in_time_by_the_assist():
     import jax
 
     from metropilot.learn import make_learner
 
-    config = PPOConfig(hidden=(4,), initial_bias=1.0, environments=1, rollout=8, minibatches=1)
+    config = PPOConfig(hidden=(4,), initial_bias=0.5, environments=1, rollout=8, minibatches=1)
     task = make_assisted()
     params = make_learner(config, task).actor.init("policy", jax.random.key(0))
     params = {name: value if name.endswith("bias") else 0.0 * value for name, value in params.items()}

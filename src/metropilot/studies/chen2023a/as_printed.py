@@ -121,8 +121,8 @@ def _finding(rows: Sequence[ReportRow]) -> str:
     """Sentence on the end of the policies' runs."""
     value = {(row.driver, row.kpi): row.ours for row in rows if row.case == drives.DRIVING}
     told = ", ".join(
-        f"{words} at {value[name, SPEED]:.1f} m/s after {value[name, 'final running time']:.0f} s"
-        for name, words in NAMES.items()
+        f"{NAMES[name]} at {value[name, SPEED]:.1f} m/s after {value[name, 'final running time']:.0f} s"
+        for name in LEARNERS
     )
     return (
         "Nothing in eqs. 10 to 17 makes the trainset stop, only protection brakes before the platform; the "
