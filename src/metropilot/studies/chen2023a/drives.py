@@ -311,8 +311,6 @@ def outcome_rows(table: str, courses: Courses, least: Bound) -> Iterator[ReportR
         at = find_convergences(mine, "learning")
         row = partial(make_row, table, case, driver)
         yield row(SHARE, "", [float(np.mean([a is not None for a in at]))])
-        if there := [a for a in at if a is not None]:
-            yield row(EPISODES_KPI, "episodes", there)
         yield row("final return of the policy itself", "", [final(one.driving["return"]) for one in mine])
         yield row("final running time", "s", [final(one.driving["running_time_s"]) for one in mine])
         if gaps := find_gaps(mine, least):
