@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from metropilot.env import DOMAIN_ASSISTS, RegimeAction, domain_sample, needed_traction
-from metropilot.env.actions import EARLY_S
+from metropilot.env import DOMAIN_ASSISTS, RegimeAction, domain_sample, needed_traction, urgency
+from metropilot.env.actions import EARLY_S, FAR_S
 from metropilot.env.features import FASTER_MPS, FEATURES, OBSERVERS, SPEED_MPS, FeatureContext
 from metropilot.env.tables import CLIMB_COLUMN, PACES_MPS, PERMITTED_COLUMN
 from metropilot.learn import DemonstrationGenerator
@@ -119,8 +119,26 @@ def test_no_more_traction_than_coasting_needs(room):
     action = RegimeAction(needed=True)
     late, soon = (context(room, at, 12.0, early + more) for more in (-60.0, 1.0))
     for asked, given in ((-1.0, -1.0), (-0.1, 0.0), (0.5, 0.5), (1.0, 1.0)):
-        assert float(action.command(late, np.array([asked]), period_s)) == pytest.approx(given)
+        wanted = 1.0 if float(urgency(late)) > 0.0 else given
+        assert float(action.command(late, np.array([asked]), period_s)) == pytest.approx(wanted)
         assert float(action.command(soon, np.array([asked]), period_s)) == pytest.approx(min(given, 0.0))
+
+
+def test_full_traction_where_flat_out_is_only_just_in_time(room):
+    """Whatever the policy asks for; far from the stop, as near it no drive has much to spare."""
+    at, period_s, action = 0.02 * room.length_m, 0.4, RegimeAction(needed=True)
+    to_go_s = float(context(room, at, 8.0, 100.0).to_go_s)
+    if to_go_s < FAR_S:
+        pytest.skip("a short section")
+    late, soon = (context(room, at, 8.0, share * to_go_s) for share in (1.01, 1.2))
+    assert float(urgency(late)) == 1.0
+    assert float(urgency(soon)) == 0.0
+    for asked in (-1.0, 0.0, 0.5, 1.0):
+        assert float(action.command(late, np.array([asked]), period_s)) == 1.0
+    assert float(action.command(soon, np.array([-0.5]), period_s)) == pytest.approx(-0.5)
+    near = context(room, 0.9 * room.length_m, 8.0, 1.0)
+    assert float(near.to_go_s) < FAR_S
+    assert float(urgency(near)) == 0.0
 
 
 def test_the_observer_for_any_line_has_them():

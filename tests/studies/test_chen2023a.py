@@ -168,7 +168,7 @@ def test_the_whole_study_from_learning_runs_that_are_there(monkeypatch, tmp_path
     assert "advantages not normalised, scaled" in text
     least = next(r for r in found.rows if r.case == "88 s" and r.kpi == "least energy")
     rule = {r.kpi: r.ours for r in found.rows if r.driver == COAST}
-    # 300 t over 993 m in 88 s: about 9 kWh. Two numbers, tuned, are an optimal drive but for the whole seconds.
+    # 300 t over 993 m in 88 s: about 9 kWh. Two numbers, tuned, are an optimal drive but for whole seconds.
     assert 8.0 < least.ours < 10.0
     assert 0.0 < rule[ABOVE] < 2.0
     assert rule["final running time"] < published.THRESHOLD_S

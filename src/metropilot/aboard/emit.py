@@ -546,9 +546,7 @@ class _Emitter:
     def running(self, node: Operation, target: Callable[[list[str]], str], indent: str) -> list[str]:
         """Least entries so far along an axis."""
         if node.params["reverse"]:
-            raise InputError(
-                "the driver needs a running minimum from behind: no form in C", field="to"
-            )
+            raise InputError("the driver needs a running minimum from behind: no form in C", field="to")
         (arg,), axis, kind = node.args, node.params["axis"], TYPES[node.dtype.name]
         index = [f"i{k}" for k in range(len(node.shape))]
         step = self.apply("min", ["s", self.at(arg, index)], node.dtype, node.dtype)

@@ -6,6 +6,7 @@ from .actions import IncrementAction as IncrementAction
 from .actions import NotchAction as NotchAction
 from .actions import RegimeAction as RegimeAction
 from .actions import needed_traction as needed_traction
+from .actions import urgency as urgency
 from .assists import Assists as Assists
 from .assists import apply_assists as apply_assists
 from .assists import ceiling_mps2 as ceiling_mps2

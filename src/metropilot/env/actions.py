@@ -23,6 +23,13 @@ EARLY_S = 0.2
 """Time before the scheduled arrival at which coasting is to arrive."""
 LEAST_GAINED_S = 0.05
 """Least time that the higher speed of ``FASTER_MPS`` gains."""
+RESERVE_SHARE = 0.03
+"""Time to spare over the flat-out time to the stop below which the trainset is late: what a drive loses at
+margins below limits and at releases of the brake."""
+LATE_OVER_S = 0.5
+"""Time to spare over which being late grows from none to whole."""
+FAR_S = 45.0
+"""Flat-out time to the stop from which on that says something: nearer all drives have little to spare."""
 
 
 class AbstractAction(ABC):
@@ -109,6 +116,17 @@ def needed_traction(context: FeatureContext, period_s: float) -> Scalar:
     return xp.clip(missing_mps / (period_s * context.effort_limits.traction_mps2), 0.0, 1.0)
 
 
+def urgency(context: FeatureContext) -> Scalar:
+    """Share of full traction that a trainset needs as the time left is hardly what flat out takes; else 0.
+
+    Args:
+        context: State.
+    """
+    xp = context.xp
+    missing_s = RESERVE_SHARE * context.to_go_s - (context.left_s - context.to_go_s)
+    return xp.where(context.to_go_s > FAR_S, xp.clip(missing_s / LATE_OVER_S, 0.0, 1.0), 0.0 * missing_s)
+
+
 @final
 @dataclass(frozen=True)
 class RegimeAction(AbstractAction):
@@ -120,7 +138,8 @@ class RegimeAction(AbstractAction):
     Attributes:
         coast: Absolute action up to which the trainset coasts.
         full: Absolute action from which effort is full.
-        needed: No more traction than coasting from then on needs to arrive in time.
+        needed: No more traction than coasting from then on needs to arrive in time, and full traction where
+            even flat out is only just in time.
     """
 
     kind = "regime"
@@ -143,10 +162,16 @@ class RegimeAction(AbstractAction):
         """Return 0 in the dead zone, then a linear rise to full effort."""
         xp = context.xp
         size = xp.clip((xp.abs(action[0]) - self.coast) / (self.full - self.coast), 0.0, 1.0)
+        command = xp.where(action[0] < 0.0, -size, size)
+        if not self.needed:
+            return command
+        urgent = urgency(context)
         # of one state on the host nothing is forecast that would not be used
-        if self.needed and (xp is not scalars or action[0] > self.coast):
-            size = xp.where(action[0] < 0.0, size, xp.minimum(size, needed_traction(context, period_s)))
-        return xp.where(action[0] < 0.0, -size, size)
+        if xp is scalars and not (command > 0.0 or urgent > 0.0):
+            return command
+        most = needed_traction(context, period_s)
+        least = xp.where(urgent > 0.0, xp.minimum(urgent, most), -1.0)
+        return xp.maximum(xp.where(command > 0.0, xp.minimum(command, most), command), least)
 
 
 @final
