@@ -3,7 +3,7 @@
 ``python -m benchmarks.chen2023a_tuning LEARNER [TRIALS]`` writes one JSON line a trial into the folder
 ``trials`` of the study, which takes its settings there, and goes on from what it finds. PPO with and without
 scaling try the same settings, and so do DDPG and TD3. A trial learns a few thousand episodes on the study's
-tuning seeds, which no table reports; its score is the mean evaluation return over the second half of the
+tuning seeds, which no table reports; its score is the mean evaluation return over the last fifth of the
 learning.
 """
 
@@ -99,7 +99,7 @@ def trial(learned: Callable[[Values], dict[str, Any]], values: Values) -> dict[s
     history = {name: np.asarray(column) for name, column in learned(values).items()}
     names = ("score", "running_time_s", "energy_kwh", "arrived")
     late = {name: history[f"evaluation.{name}"] for name in names}
-    late = {name: column[:, column.shape[1] // 2 :].mean(axis=1) for name, column in late.items()}
+    late = {name: column[:, -(column.shape[1] // 5) :].mean(axis=1) for name, column in late.items()}
     told = {name: [round(float(v), 3) for v in column] for name, column in late.items()}
     seconds = round(time.perf_counter() - begun, 1)
     return {"settings": values, "mean": float(late["score"].mean()), **told, "seconds": seconds}
