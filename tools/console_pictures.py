@@ -1,13 +1,13 @@
 """Draw the console's pictures anew: ``python tools/console_pictures.py URL [drive compare ...]``.
 
-URL is that of a running `metropilot serve`; needs the extra ``browser`` and Chromium. Without names it draws
-all of them into docs/images. A picture of Learn shows the job that is named in the variable JOB, one of Fit
-that of the variable FIT.
+URL is that of a running `metropilot serve` with an empty folder of data (``--data``); needs the extra
+``browser`` and Chromium. Without names it draws all of them into docs/images. What a picture shows it first
+computes over HTTP.
 """
 
 import argparse
-import os
 import shutil
+import sys
 import tempfile
 import time
 from collections.abc import Callable
@@ -16,7 +16,11 @@ from pathlib import Path
 from PIL import Image
 from playwright.sync_api import Browser, Page, sync_playwright
 
-OUT = Path(__file__).resolve().parent.parent / "docs" / "images"
+ROOT = Path(__file__).resolve().parent.parent
+sys.path.insert(0, str(ROOT / "examples"))
+from client.metropilot_client import Client  # noqa: E402  # pyright: ignore[reportMissingImports]
+
+OUT = ROOT / "docs" / "images"
 PATIENCE_MS = 300_000
 COLOURS = 128
 READY = "minimum 83.3 s"
@@ -113,23 +117,98 @@ def lines(page: Page) -> None:
         page.get_by_text("This file cannot be used").wait_for()
 
 
-PICTURES: dict[str, tuple[str, Callable[[Page], None]]] = {
-    "drive": ("/", drive),
-    "compare": ("/compare", compare),
-    "journey": ("/journey", journey),
-    "line": ("/line", line),
-    "convoy": ("/convoy", convoy),
-    "learn": (f"/learn?job={os.environ.get('JOB', '')}", learn),
-    "edit": ("/edit?line=yizhuang", edit),
-    "lines": ("/lines", lines),
-    "fit": (f"/fit?job={os.environ.get('FIT', '')}", fit),
-    "phone": ("/", phone),
+def campaigns(page: Page) -> None:
+    """The robustness campaign by driver and disturbance."""
+    page.get_by_text("robustness ·").first.click()
+    page.get_by_text("heavy, more resistance").first.wait_for()
+
+
+def runs(page: Page) -> None:
+    """Two drives against each other."""
+    rows = page.locator('[aria-label="Runs"] tbody tr')
+    for driver in ("optimal", "manual"):
+        row = rows.filter(has_text=f"· {driver} · 101 s").filter(has_text="Drive")
+        row.get_by_role("checkbox").click()
+    page.locator('[data-test="compare-two"]').click()
+    page.get_by_role("table", name="KPIs of two runs").get_by_role("row").nth(1).wait_for()
+
+
+def running(page: Page) -> None:
+    """A train that is held for four minutes, a slow section, and the delays until they die away."""
+    card = page.locator('[data-test="running"]')
+    card.get_by_label("Pace", exact=True).click()
+    page.get_by_role("option", name="30 ×", exact=True).click()
+    page.locator('[data-test="run-line"]').click()
+    until(page, '[data-test="running"]', "data-time", 480)
+    for at, field, value, button in (
+        ("RJ", "Hold for (s)", "240", "hold"),
+        ("JG", "For (s)", "400", "slow"),
+    ):
+        card.get_by_label("At station", exact=True).click()
+        page.get_by_role("option", name=f"{at} ·").click()
+        card.get_by_label(field, exact=True).fill(value)
+        page.locator(f'[data-test="{button}"]').click()
+    until(page, '[data-test="running"]', "data-time", 1650)
+
+
+def learning_run(client: Client) -> str:
+    """Path of a learning run."""
+    job = client.jobs.learn({"driver": "ppo", "budget": "quick", "evaluations": 16})
+    client.wait(job["id"])
+    return f"/learn?job={job['id']}"
+
+
+def fitted(client: Client) -> str:
+    """Path of a fit to the log of a trainset that is heavier and later than it says."""
+    section = {"line": "yizhuang", "origin": "RJ", "destination": "WYJ"}
+    driven = client.jobs.drive(
+        {**section, "time_s": 130.0, "driver": "manual", "mass_factor": 1.1, "delay_s": 0.4}
+    )
+    client.wait(driven["id"])
+    log = client.catalogue.upload("monday run.csv", client.jobs.file(driven["id"], "trajectory.csv"))
+    job = client.fits.fit({**section, "logs": [log["id"]]})
+    client.wait(job["id"])
+    return f"/fit?job={job['id']}"
+
+
+def list_of_runs(client: Client) -> str:
+    """Path of the list, with a run of every kind."""
+    section = {"line": "yizhuang", "origin": "RJ", "destination": "WYJ"}
+    made = [
+        client.jobs.drive({**section, "driver": driver, "time_s": time_s})
+        for driver, time_s in (("optimal", 101.0), ("manual", 101.0), ("flat_out", 95.0))
+    ]
+    made.append(client.jobs.compare({**section, "drivers": ["optimal", "manual"], "time_s": 101.0}))
+    made.append(client.jobs.journey({"line": "yizhuang", "total_s": 1950.0}))
+    for job in made:
+        client.wait(job["id"])
+    return "/runs"
+
+
+PICTURES: dict[str, tuple[str | Callable[[Client], str], Callable[[Page], None], str]] = {
+    "drive": ("/", drive, ""),
+    "compare": ("/compare", compare, ""),
+    "journey": ("/journey", journey, ""),
+    "line": ("/line", line, ""),
+    "running": ("/line", running, '[data-test="running"]'),
+    "convoy": ("/convoy", convoy, ""),
+    "learn": (learning_run, learn, ""),
+    "edit": ("/edit?line=yizhuang", edit, ""),
+    "lines": ("/lines", lines, ""),
+    "runs": (list_of_runs, runs, ""),
+    "campaigns": ("/campaigns", campaigns, ""),
+    "fit": (fitted, fit, ""),
+    "phone": ("/", phone, ""),
 }
+"""Of each picture its page, or what makes it; what is done there; and the part that is shown, or all."""
+FIRST_VIEW = frozenset({"edit", "campaigns"})
+"""Pages of which the first view is enough."""
 
 
 def draw(browser: Browser, url: str, name: str) -> None:
     """One picture: made, looked for, kept in few colours so that it stays small."""
-    path, act = PICTURES[name]
+    path, act, part = PICTURES[name]
+    path = path if isinstance(path, str) else path(Client(url))
     narrow = name == "phone"
     context = browser.new_context(color_scheme="dark" if narrow else "light")
     page = context.new_page()
@@ -140,7 +219,10 @@ def draw(browser: Browser, url: str, name: str) -> None:
     page.wait_for_timeout(1000)
     with tempfile.TemporaryDirectory() as folder:
         raw = Path(folder, "raw.png")
-        page.screenshot(path=raw, full_page=name != "edit")
+        if part:
+            page.locator(part).screenshot(path=raw)
+        else:
+            page.screenshot(path=raw, full_page=name not in FIRST_VIEW)
         with Image.open(raw) as picture:
             few = picture.convert("RGB").quantize(COLOURS, dither=Image.Dither.NONE)
             few.save(OUT / f"console-{name}.png", optimize=True)
@@ -152,8 +234,7 @@ def main() -> None:
     """Draw what is named."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("url")
-    missing = {name for name, job in (("learn", "JOB"), ("fit", "FIT")) if job not in os.environ}
-    parser.add_argument("names", nargs="*", default=[n for n in PICTURES if n not in missing])
+    parser.add_argument("names", nargs="*", choices=PICTURES, default=list(PICTURES))
     given = parser.parse_args()
     chromium = shutil.which("chromium") or shutil.which("google-chrome")
     with sync_playwright() as driver:

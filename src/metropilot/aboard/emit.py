@@ -872,7 +872,8 @@ def _sums_before(node: Operation) -> bool:
     """Tell if a product by this matrix gives the sums of all terms before each entry, the last of all."""
     if node.op != "const" or len(node.shape) != 2 or node.shape[1] != node.shape[0] + 1:
         return False
-    return np.array_equal(node.params["value"], np.tri(*node.shape[::-1], -1).T)
+    terms, places = node.shape
+    return np.array_equal(node.params["value"], np.tri(places, terms, -1).T)
 
 
 def _base(node: Operation) -> Operation:

@@ -13,6 +13,7 @@ from numpy import ndarray
 from metropilot._typing import Array, Float
 from metropilot.env import episode_of, starts
 from metropilot.studies.chen2023a.setting import (
+    ACTION,
     COMFORT,
     CONVERGED,
     CONVERGED_AT,
@@ -195,13 +196,13 @@ def rule_rows(least: Bound) -> Iterator[ReportRow]:
     task = make_assisted()
     begin = task.begin(jax.tree.map(lambda x: x[0], starts([0], [PRESCRIBED_S])))
     decisions, key = longest_decisions(task), jax.random.key(0)
-    full, coast = task.config.action.full, task.config.action.coast
 
     def run(rule: tuple[Array, Array]) -> tuple[Array, Array, Array]:
         command, place_km = rule
 
         def decide(observation: Array, _: Array) -> Array:
-            return jnp.where(observation[0] < place_km, coast + (full - coast) * command, 0.0)[None]
+            asked = ACTION.coast + (ACTION.full - ACTION.coast) * command
+            return jnp.where(observation[0] < place_km, asked, 0.0)[None]
 
         state, returned = drive_to_end(task, decide, begin, key, decisions)
         end = episode_of(task, state)

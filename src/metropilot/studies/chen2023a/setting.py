@@ -67,6 +67,7 @@ REWARDS = (
 energy is just within the time allowed, and noise of exploration crosses a sharp edge. The last term is added:
 the paper's train always arrives, at worst late; without it standing still would have the largest return of
 all late runs."""
+ACTION = RegimeAction()
 ALLOWED_S = THRESHOLD_S - PRESCRIBED_S
 DECISION_S = 1.0
 COMFORT = 0.1
@@ -80,7 +81,7 @@ def task_config() -> DrivingConfig:
         trainsets=(load_trainset("cheng2023"),),
         scenarios=DisturbanceDistribution(time_s=(80.0, 80.0)),
         observer="position_speed",
-        action=RegimeAction(),
+        action=ACTION,
         rewards=REWARDS,
         assists=Assists(late=True),
         periods=2,
