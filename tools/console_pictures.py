@@ -131,6 +131,7 @@ def runs(page: Page) -> None:
         row.get_by_role("checkbox").click()
     page.locator('[data-test="compare-two"]').click()
     page.get_by_role("table", name="KPIs of two runs").get_by_role("row").nth(1).wait_for()
+    page.locator(".scatterlayer .trace").first.wait_for()
 
 
 def running(page: Page) -> None:

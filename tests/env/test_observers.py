@@ -125,7 +125,7 @@ def test_no_more_traction_than_coasting_needs(room):
 
 
 def test_full_traction_where_flat_out_is_only_just_in_time(room):
-    """Whatever the policy asks for; far from the stop, as near it no drive has much to spare."""
+    """Full traction against every action, far from the stop: near it no drive has much to spare."""
     at, period_s, action = 0.02 * room.length_m, 0.4, RegimeAction(needed=True)
     to_go_s = float(context(room, at, 8.0, 100.0).to_go_s)
     if to_go_s < FAR_S:
