@@ -28,7 +28,7 @@ DECISIONS = 85
 FIRST_COMMAND = 0.8
 """Mean command of every policy before learning: large enough that some episodes arrive in time."""
 DECAYING = ("learning_rate", "actor_rate", "critic_rate", "noise")
-"""Fields that the setting ``decay`` of a trial multiplies at the end of the learning, falling evenly to it."""
+"""Fields that the setting ``decay`` of a trial multiplies at the end of learning, falling evenly to it."""
 BASE_PPO = PPOConfig(environments=16, rollout=128, minibatches=16, initial_bias=FIRST_COMMAND, gamma=1.0)
 BASE_DDPG = DDPGConfig(
     environments=16,
