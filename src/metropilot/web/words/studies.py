@@ -13,6 +13,7 @@ WORDS = (
     N_("plain PPO, late, needs least energy"),
     N_("DDPG has the highest impact rate"),
     N_("PPO with reward scaling drives best (return of the policy)"),
+    N_("the same, least energy in its running time"),
     N_("SAC-PID keeps the gap"),
     N_("smallest"),
     N_("largest"),
