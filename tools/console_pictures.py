@@ -152,15 +152,15 @@ def running(page: Page) -> None:
     until(page, '[data-test="running"]', "data-time", 1650)
 
 
-def learning_run(client: Client) -> str:
-    """Path of a learning run."""
+def learn_driver(client: Client) -> str:
+    """Learn a driver; path of the run."""
     job = client.jobs.learn({"driver": "ppo", "budget": "quick", "evaluations": 16})
     client.wait(job["id"])
     return f"/learn?job={job['id']}"
 
 
-def fitted(client: Client) -> str:
-    """Path of a fit to the log of a trainset that is heavier and later than it says."""
+def fit_trainset(client: Client) -> str:
+    """Fit a trainset to the log of one that is heavier and later than it says; path of the fit."""
     section = {"line": "yizhuang", "origin": "RJ", "destination": "WYJ"}
     driven = client.jobs.drive(
         {**section, "time_s": 130.0, "driver": "manual", "mass_factor": 1.1, "delay_s": 0.4}
@@ -172,8 +172,8 @@ def fitted(client: Client) -> str:
     return f"/fit?job={job['id']}"
 
 
-def list_of_runs(client: Client) -> str:
-    """Path of the list, with a run of every kind."""
+def make_runs(client: Client) -> str:
+    """Make a run of every kind; path of their list."""
     section = {"line": "yizhuang", "origin": "RJ", "destination": "WYJ"}
     made = [
         client.jobs.drive({**section, "driver": driver, "time_s": time_s})
@@ -193,12 +193,12 @@ PICTURES: dict[str, tuple[str | Callable[[Client], str], Callable[[Page], None],
     "line": ("/line", line, ""),
     "running": ("/line", running, '[data-test="running"]'),
     "convoy": ("/convoy", convoy, ""),
-    "learn": (learning_run, learn, ""),
+    "learn": (learn_driver, learn, ""),
     "edit": ("/edit?line=yizhuang", edit, ""),
     "lines": ("/lines", lines, ""),
-    "runs": (list_of_runs, runs, ""),
+    "runs": (make_runs, runs, ""),
     "campaigns": ("/campaigns", campaigns, ""),
-    "fit": (fitted, fit, ""),
+    "fit": (fit_trainset, fit, ""),
     "phone": ("/", phone, ""),
 }
 """Of each picture its page, or what makes it; what is done there; and the part that is shown, or all."""

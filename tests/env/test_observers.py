@@ -128,8 +128,7 @@ def test_full_traction_where_flat_out_is_only_just_in_time(room):
     """Full traction against every action, far from the stop: near it no drive has much to spare."""
     at, period_s, action = 0.02 * room.length_m, 0.4, RegimeAction(needed=True)
     to_go_s = float(context(room, at, 8.0, 100.0).to_go_s)
-    if to_go_s < FAR_S:
-        pytest.skip("a short section")
+    assert to_go_s > FAR_S
     late, soon = (context(room, at, 8.0, share * to_go_s) for share in (1.01, 1.2))
     assert float(urgency(late)) == 1.0
     assert float(urgency(soon)) == 0.0

@@ -420,7 +420,7 @@ class _Emitter:
         if node.op in {"concatenate", "stack"}:
             return self.concatenate(node, target, indent)
         if node.op in {"dot_general", "cummin"}:
-            return (self.product if node.op == "dot_general" else self.running)(node, target, indent)
+            return (self.product if node.op == "dot_general" else self.accumulate)(node, target, indent)
         if node.op == "gather":
             return self.gather(node, target(index), index, shape, indent)
         if node.op == "argmax":
@@ -543,7 +543,7 @@ class _Emitter:
             return _loops(shape, lines, indent)
         return [f"{depth}{{", *(f"{depth}    {line}" for line in lines), f"{depth}}}"]
 
-    def running(self, node: Operation, target: Callable[[list[str]], str], indent: str) -> list[str]:
+    def accumulate(self, node: Operation, target: Callable[[list[str]], str], indent: str) -> list[str]:
         """Least entries so far along an axis."""
         if node.params["reverse"]:
             raise InputError("the driver needs a running minimum from behind: no form in C", field="to")
@@ -589,7 +589,7 @@ class _Emitter:
         at_left.insert(k_left, "k")
         at_right.insert(k_right, "k")
         zero = literal(0, node.dtype)
-        if _sums_before(right) and k_right == 0:
+        if _gives_running_sums(right) and k_right == 0:
             # the same sums to the last bit, without the terms that are multiplied by zero
             add = self.apply("add", ["s", self.at(left, at_left)], node.dtype, node.dtype)
             inner = [f"{target([*i, 'k'])} = s;", f"s = {add};"]
@@ -743,7 +743,7 @@ class _Emitter:
         if op in LOGIC and dtype.kind == "b":
             return f"({values[0]} {LOGIC[op]} {values[1]})"
         if op in {"max", "min", "clamp"} and given.kind == "f" and node is not None:
-            return self.bounded(node, values, kind)
+            return self.limit(node, values, kind)
         if op in CALLS and given.kind == "f":
             return f"{CALLS[op]}_{kind}({', '.join(values)})"
         if op in {"max", "min"}:
@@ -761,7 +761,7 @@ class _Emitter:
             return written[op](*values)
         return self.special(op, values, given, dtype, params, node)
 
-    def bounded(self, node: Operation, values: list[str], kind: str) -> str:
+    def limit(self, node: Operation, values: list[str], kind: str) -> str:
         """Expression of the larger or smaller of two numbers, of which a constant needs no test for NaN."""
 
         def bound(op: str, first: tuple[Operation, str], second: tuple[Operation, str]) -> str:
@@ -868,7 +868,7 @@ def _flatten(
     return order
 
 
-def _sums_before(node: Operation) -> bool:
+def _gives_running_sums(node: Operation) -> bool:
     """Tell if a product by this matrix gives the sums of all terms before each entry, the last of all."""
     if node.op != "const" or len(node.shape) != 2 or node.shape[1] != node.shape[0] + 1:
         return False
