@@ -89,7 +89,7 @@ CLAIMS = (
     ),
 )
 
-SEEDS = " and ".join(str(seed) for seed in TUNING_SEEDS)
+SEEDS = ", ".join(str(seed) for seed in TUNING_SEEDS)
 DONE = ", ".join(f"{NAMES[name]} {len(trials(name))}" for name in (*LEARNERS, *BEYOND))
 DEVIATIONS = paragraphs(f"""
 Section, trainset and speed limits are not printed. This study uses Yizhuang Bridge to Yizhuang Culture
