@@ -337,6 +337,7 @@ LANE = """time_s => { const el = document.querySelector('[data-test=live] .js-pl
     const lane = el._fullLayout.yaxis4;
     el.scrollIntoView({ block: 'center' });
     return el.getBoundingClientRect().top + lane._offset + lane.d2p(time_s); }"""
+LANE_TOP = f"{PLOT}._fullLayout.yaxis4.range[1]"
 ARRIVAL, WISH = (
     f"{PLOT}?.data?.find(t => t.name === '{name}')?" for name in ("scheduled arrival", "not sent yet")
 )
@@ -397,6 +398,13 @@ def test_an_arrival_is_dragged_on_the_way(visit, width, height):
     expect(page.locator('[data-mp="log"]')).to_contain_text("new arrival time, later: after 115 s")
     page.wait_for_function(f"{ARRIVAL}.y[0] === 115 && {WISH}.x.length === 0")
     expect(page.locator('[data-mp="scheduled"]')).to_contain_text("115")
+    top = page.evaluate(f"Math.floor({LANE_TOP})")
+    drag_arrival(page, 115, top)
+    page.mouse.up()
+    page.wait_for_function(f"{LANE_TOP} > {top} + 20")  # the lane grows where the bar is let go at its top
+    drag_arrival(page, top, top + 15)
+    page.mouse.up()
+    expect(field).to_have_value(re.compile(rf"{top + 14}|{top + 15}|{top + 16}"))
     field.fill("130")
     page.wait_for_function(f"{WISH}.y[0] === 130")
     page.locator('[data-test="stop"]').click()

@@ -1,5 +1,6 @@
 """The catalogue of the console's texts: whole, compiled, with the same placeholders in both languages."""
 
+import ast
 import importlib.util
 import json
 import re
@@ -133,3 +134,51 @@ def test_pages_are_answered_in_the_language(server):
     assert "zh-CN.umd.prod.js" in answers["zh"]
     assert '<html lang="en-US">' in answers["xx"]
     assert not re.search("[一-鿿]", answers["en"].replace("中文", ""))
+
+
+ELSEWHERE = (
+    "cli/",
+    "env/adapters/",
+    "campaign/run.py",
+    "campaign/store.py",
+    "learn/export.py",
+    "studies/",
+    "web/settings.py",
+)
+"""Places whose refusals no page shows: the command line, Ray, ONNX, Gymnasium, the start of the server."""
+
+
+def refusals_of(path):
+    """Constant messages of the refusals that a file raises."""
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        name = getattr(node.func, "id", None) if isinstance(node, ast.Call) else None
+        if name in {"InputError", "Refused"} and node.args and isinstance(node.args[0], ast.Constant):
+            yield node.args[0].value
+
+
+@pytest.mark.parametrize("language", OTHERS)
+def test_every_refusal_that_a_page_can_show_is_translated(language):
+    source = ROOT / "src" / "metropilot"
+    found = [
+        (path.relative_to(source).as_posix(), message)
+        for path in sorted(source.rglob("*.py"))
+        if not path.relative_to(source).as_posix().startswith(ELSEWHERE)
+        for message in refusals_of(path)
+    ]
+    assert len(found) > 200
+    with answer_in(language):
+        assert [(path, message) for path, message in found if retell(message) == message] == []
+
+
+@pytest.mark.parametrize(
+    ("text", "wanted"),
+    [
+        ("unknown trainset, did you mean dkz32?", "未知的列车，是否指 dkz32？"),
+        ("positions of a profile must increase", "纵断面的位置必须递增"),
+        ("cannot be read (no such file)", "无法读取（没有这样的文件）"),
+        ("a job that is running cannot be deleted; stop it first", "运行中的任务不能删除；请先停止"),
+    ],
+)
+def test_a_refusal_with_a_name_in_it_is_retold(text, wanted):
+    with answer_in("zh"):
+        assert retell(text) == wanted

@@ -1,6 +1,10 @@
 from .flat_out import FlatOut as FlatOut
 from .learned import DECISION_EARLY_S as DECISION_EARLY_S
 from .learned import LearnedDriver as LearnedDriver
+from .learned import PolicyFunction as PolicyFunction
+from .network import AbstractNetworkDriver as AbstractNetworkDriver
+from .network import FeatureSpan as FeatureSpan
+from .network import NetworkView as NetworkView
 from .pid import TUNED_PID as TUNED_PID
 from .pid import Pid as Pid
 from .pid import PidOptions as PidOptions

@@ -14,9 +14,11 @@ from typing import ClassVar, final
 
 from metropilot._schema import declare
 from metropilot.drivers.learned import LearnedDriver, LearnedMemory, PolicyFunction
+from metropilot.drivers.network import AbstractNetworkDriver, FeatureSpan, NetworkView
+from metropilot.env import FEATURE_WORDS, GainsAction
 from metropilot.errors import InputError
 from metropilot.policy import LoadedPolicy, load_driving_policy, shipped_policy
-from metropilot.sim import AbstractDriver, Observation, Run
+from metropilot.sim import Observation, Run
 
 
 @dataclass(frozen=True)
@@ -30,7 +32,7 @@ class PolicyOptions:
     policy: str = declare("")
 
 
-class AbstractPolicyDriver(AbstractDriver):
+class AbstractPolicyDriver(AbstractNetworkDriver):
     """Drives by a policy file, which is read when it is first needed.
 
     What the policy was not learned for (another section, another trainset) it still drives, as well as it
@@ -69,9 +71,14 @@ class AbstractPolicyDriver(AbstractDriver):
         """The same driver with another function in the place of its policy."""
         return LearnedDriver(policy, self.loaded_policy.interface)
 
-    def feature_sizes(self, run: Run) -> dict[str, int]:
-        """Number of numbers that each feature has in the observation, in its order."""
-        return self._driver.feature_sizes(run)
+    def network_view(self, run: Run) -> NetworkView:
+        """The network and what it sees on a run; of gains the held speed counts, which comes last."""
+        loaded = self.loaded_policy
+        policy, gains = loaded.policy.policy, loaded.interface.action.kind == GainsAction.kind
+        sizes = self._driver.feature_sizes(run).items()
+        spans = (FeatureSpan(name, FEATURE_WORDS[name], size) for name, size in sizes)
+        meaning = "the notch chosen" if policy.spec.discrete else "a higher speed" if gains else "more power"
+        return NetworkView(policy, tuple(spans), meaning, policy.spec.actions - 1)
 
     @cached_property
     def _driver(self) -> LearnedDriver:

@@ -14,8 +14,7 @@ import numpy as np
 from numpy import ndarray
 
 from metropilot._typing import Float
-from metropilot.drivers import AbstractPolicyDriver
-from metropilot.env import FEATURE_WORDS, GainsAction
+from metropilot.drivers import AbstractNetworkDriver
 from metropilot.policy import Policy, in_precision, network_output, output_gradient
 from metropilot.sim import AbstractDriver, Drive, Rollout
 
@@ -73,43 +72,44 @@ def attribute_decisions(
         times_s: Moments, s since departure; the last decision before each is taken.
 
     Returns:
-        One a decision, in the order of the drive. Empty for a driver without a network that decides alone
-        (a table, an expert system with a learned part), and for a drive with manual driving in it.
+        One a decision, in the order of the drive; a moment at which the network is not asked, as in the
+        station stop of an expert system, has the last one before. Empty for a driver without a network (a
+        table has none), and for a drive with manual driving in it.
     """
-    if not isinstance(driver, AbstractPolicyDriver):
+    if not isinstance(driver, AbstractNetworkDriver):
         return ()
-    policy = driver.loaded_policy.policy.policy
-    if policy.spec.output == "table":
+    view = driver.network_view(drive.run)
+    if view.policy.spec.output == "table":
         return ()
-    when, seen = _replay(drive, driver)
+    when, seen = _replay(drive, driver, view.policy)
     if not len(seen):
         return ()
-    sizes = driver.feature_sizes(drive.run)
-    starts = np.cumsum([0, *sizes.values()])[:-1]
-    policy = Policy(policy.spec, in_precision(policy.params, np.float64))
+    features = view.features
+    starts = np.cumsum([0, *(each.size for each in features)])[:-1]
+    policy = Policy(view.policy.spec, in_precision(view.policy.params, np.float64))
     usual, found = seen.mean(axis=0), []
-    gains = driver.loaded_policy.interface.action.kind == GainsAction.kind
-    meaning = "the notch chosen" if policy.spec.discrete else "a higher speed" if gains else "more power"
     last = np.searchsorted(when, times_s + 1e-6) - 1
     for k in dict.fromkeys(last[last >= 0].tolist()):
-        weights = _output_weights(policy, seen[k])
+        weights = _output_weights(policy, seen[k], view.output)
         shares = np.add.reduceat(_integrate(policy, usual, seen[k], weights), starts)
         order = np.argsort(-np.abs(shares))
-        names = list(sizes)
         output, mean_output = (
             float(weights @ network_output(policy.spec, policy.params, each, np)) for each in (seen[k], usual)
         )
         position_m = float(np.interp(when[k], drive.trajectory.time_s, drive.trajectory.position_m))
-        told = (FeatureShare(names[j], FEATURE_WORDS[names[j]], float(shares[j])) for j in order)
-        found.append(FeatureMoment(float(when[k]), position_m, output, mean_output, meaning, tuple(told)))
+        told = (FeatureShare(features[j].feature, features[j].words, float(shares[j])) for j in order)
+        found.append(
+            FeatureMoment(float(when[k]), position_m, output, mean_output, view.meaning, tuple(told))
+        )
     return tuple(found)
 
 
 def _replay(
-    drive: Drive, driver: AbstractPolicyDriver
+    drive: Drive, driver: AbstractNetworkDriver, policy: Policy
 ) -> tuple[Float[ndarray, " decisions"], Float[ndarray, "decisions features"]]:
     """Times and observations of the decisions; none where the run goes another way, as by hand."""
-    policy, seen, when = driver.loaded_policy.policy, [], []
+    seen: list[ndarray] = []
+    when: list[float] = []
 
     def decide(observation: ndarray, mask: ndarray | None = None) -> object:
         seen.append(observation.astype(np.float64))
@@ -126,7 +126,9 @@ def _replay(
     return np.array(when), np.array(seen)
 
 
-def _output_weights(policy: Policy, observation: Float[ndarray, " features"]) -> Float[ndarray, " width"]:
+def _output_weights(
+    policy: Policy, observation: Float[ndarray, " features"], place: int
+) -> Float[ndarray, " width"]:
     """Weights of the network's outputs in the number that is attributed."""
     spec = policy.spec
     output = network_output(spec, policy.params, observation, np)
@@ -135,7 +137,7 @@ def _output_weights(policy: Policy, observation: Float[ndarray, " features"]) ->
         weights -= 1.0 / output.size
         weights[int(output.argmax())] += 1.0
     else:
-        weights[spec.actions - 1] = 1.0  # of gains the held speed, which comes last
+        weights[place] = 1.0
     return weights
 
 

@@ -2,15 +2,33 @@
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
 from typing import ClassVar, final
 
 from metropilot._schema import declare
 from metropilot.control import Errors
-from metropilot.drivers import AbstractTracker, AbstractTrackingOptions, TrackingView
+from metropilot.drivers import (
+    AbstractNetworkDriver,
+    AbstractTracker,
+    AbstractTrackingOptions,
+    FeatureSpan,
+    NetworkView,
+    PolicyFunction,
+    TrackingView,
+)
 from metropilot.policy import GuardedPolicy, policy_path, shipped_policy
+from metropilot.sim import Run
 from metropilot.studies.cheng2023.law import PAPER_LAW, load_tracking_policy
+
+WORDS = {
+    "speed": "speed",
+    "command": "last command",
+    "speed_error": "speed error",
+    "position_error": "position error",
+}
+"""Observation entries in the field's words."""
 
 
 @final
@@ -26,7 +44,7 @@ class DdpgPidOptions(AbstractTrackingOptions):
 
 
 @final
-class DdpgPid(AbstractTracker):
+class DdpgPid(AbstractTracker, AbstractNetworkDriver):
     """Tracks a reference with gains that a policy learned to set.
 
     Args:
@@ -49,6 +67,23 @@ class DdpgPid(AbstractTracker):
         """
         return load_tracking_policy(self.path, PAPER_LAW)
 
+    @cached_property
+    def gains(self) -> PolicyFunction:
+        """The function that sets the gains: the policy."""
+        return self.policy
+
+    def network_view(self, run: Run) -> NetworkView:
+        """The network, and the errors that it sees; the proportional gain counts."""
+        del run
+        spans = (FeatureSpan(name, WORDS[name], 1) for name in PAPER_LAW.observed)
+        return NetworkView(self.policy.policy, tuple(spans), "a higher proportional gain", 0)
+
+    def with_policy(self, policy: PolicyFunction) -> DdpgPid:
+        """The same driver with another function in the place of its policy."""
+        found = copy(self)
+        found.gains = policy
+        return found
+
     def aboard(self, number: type) -> None:
         """None: what the policy answers is checked, and an error in it has no form in C."""
         del number
@@ -59,5 +94,5 @@ class DdpgPid(AbstractTracker):
 
     def control(self, memory: Errors, seen: TrackingView) -> tuple[float, Errors]:
         """One period: the policy's gains, then the law."""
-        command, memory = PAPER_LAW.drive(self.policy, seen, memory)
+        command, memory = PAPER_LAW.drive(self.gains, seen, memory)
         return float(command), memory

@@ -37,7 +37,14 @@ from metropilot.control import (
     record_command,
     update_estimate,
 )
-from metropilot.drivers import DECISION_EARLY_S, PolicyOptions
+from metropilot.drivers import (
+    DECISION_EARLY_S,
+    AbstractNetworkDriver,
+    FeatureSpan,
+    NetworkView,
+    PolicyOptions,
+)
+from metropilot.env import FEATURE_WORDS
 from metropilot.errors import InputError
 from metropilot.physics import scalars
 from metropilot.policy import LoadedPolicy, Policy, in_precision, load_driving_policy, shipped_policy
@@ -46,6 +53,7 @@ from metropilot.railway import Section
 from metropilot.sim import AbstractDriver, Observation, Run
 from metropilot.studies.huang2025.env import ExpertAction, ExpertChoiceAction
 from metropilot.studies.huang2025.laws import (
+    EXPERT_STATE,
     GAIN,
     RELEASE_SHARE,
     SETTLED,
@@ -414,7 +422,7 @@ class PolicyMemory(NamedTuple):
     change: float = 0.0
 
 
-class AbstractExpertPolicyDriver(AbstractDriver):
+class AbstractExpertPolicyDriver(AbstractNetworkDriver):
     """A driver whose policy changes the rate inside the expert's rules.
 
     Args:
@@ -450,6 +458,19 @@ class AbstractExpertPolicyDriver(AbstractDriver):
         """The same driver, its network in a number type."""
         found, policy = copy(self), self.loaded_policy.policy.policy
         found.network = Policy(policy.spec, in_precision(policy.params, number))
+        return found
+
+    def network_view(self, run: Run) -> NetworkView:
+        """The network, and the state of the expert that it sees."""
+        del run
+        spans = (FeatureSpan(name, FEATURE_WORDS[name], size) for name, size in EXPERT_STATE.items())
+        policy = self.loaded_policy.policy.policy
+        return NetworkView(policy, tuple(spans), "more power", 0)
+
+    def with_policy(self, policy: Callable[[np.ndarray], Any]) -> AbstractExpertPolicyDriver:
+        """The same driver with another function in the place of its policy."""
+        found = copy(self)
+        found.network = policy
         return found
 
     @cached_property

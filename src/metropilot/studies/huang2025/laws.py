@@ -27,6 +27,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Any, NamedTuple, no_type_check
 
 import numpy as np
@@ -242,6 +243,12 @@ def next_expert_rate(
     pulled = xp.clip(rate_mps2 + change, 0.0, xp.maximum(top_mps2, 0.0))
     braked = xp.maximum(rate_mps2 + change, -GENTLE_MPS2)
     return xp.where(slows, braked, xp.where(rate_mps2 < 0.0, eased, pulled))
+
+
+EXPERT_STATE = MappingProxyType(
+    {"distance_left": 1, "speed": 1, "time_left": 1, "command": 1, "efforts": 1, "coasting": 2}
+)
+"""Features of :func:`expert_state` by their general names, and how many numbers each has."""
 
 
 def expert_state(

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 from nicegui import events, ui
 
-from metropilot.errors import InputError
+from metropilot.errors import InputError, MetropilotError
 from metropilot.web.pages.frame import Problem, allowed_words, card, prop_of
 from metropilot.web.pages.numbers import parse_number, split_list
 from metropilot.web.words.language import ENGLISH, N_, _, present_language
@@ -470,8 +470,10 @@ class DocumentForm:
         self.problem.show(error)
 
 
-def describe(error: InputError) -> str:
+def describe(error: MetropilotError) -> str:
     """One line about an error: field, value and what is allowed."""
+    if not isinstance(error, InputError):
+        return retell(str(error))
     value = "" if error.value is None else f": {error.value}" + (f" {error.unit}" if error.unit else "")
     where = f"{error.field}: " if error.field else ""
     return f"{where}{retell(error.message)}{value}{allowed_words(error.allowed)}"

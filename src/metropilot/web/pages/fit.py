@@ -12,6 +12,7 @@ from metropilot.errors import MetropilotError
 from metropilot.fit import GROUPS
 from metropilot.web import catalogue
 from metropilot.web.errors import Refused, error_of
+from metropilot.web.pages.document import describe
 from metropilot.web.pages.form import loads, validate
 from metropilot.web.pages.frame import (
     ActionButton,
@@ -249,7 +250,7 @@ class FitPage:
         """Show in one line what the logs do not determine."""
         self.result.clear()
         with self.result, card(_("Not fitted")):
-            ui.label(str(error)).classes("mp-error").props('role=alert data-test="refusal"')
+            ui.label(describe(error)).classes("mp-error").props('role=alert data-test="refusal"')
 
     def show(self, row: JobRow, found: dict[str, Any]) -> None:
         """Show parameters, remarks, residuals, files and where to save."""

@@ -12,6 +12,7 @@ from nicegui import events, ui
 from metropilot.errors import MetropilotError
 from metropilot.web import catalogue
 from metropilot.web.errors import detail_of
+from metropilot.web.pages.document import describe
 from metropilot.web.pages.frame import (
     ActionButton,
     card,
@@ -100,7 +101,7 @@ class LinesPage:
             try:
                 found = catalogue.line_out(self.service, key)
             except MetropilotError as error:
-                empty(str(error))
+                empty(describe(error))
                 return
             with card(
                 found["name"],
@@ -147,7 +148,7 @@ class LinesPage:
                 found = catalogue.trainset_out(self.service, key)
                 curves = effort_curves(catalogue.trainset(self.service, key))
             except MetropilotError as error:
-                empty(str(error))
+                empty(describe(error))
                 return
             with card(found["name"], f"{found['length_m']:.0f} m · id {key}"):
                 plot(effort_figure(curves)).props('data-test="effort"')

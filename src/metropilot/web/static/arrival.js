@@ -52,8 +52,10 @@
     leave() {
       if (this.held === null) return;
       this.send();
+      const last = this.held;
       this.held = null;
       delete this.handle.dataset.time;
+      metropilot.released(last);
     }
 
     send() {

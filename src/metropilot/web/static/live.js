@@ -3,7 +3,7 @@
   const KMH = 3.6, KWH = 3.6e6, RENEW_MS = 800, STEP = 0.1;
   const LIMIT = 0, PERMITTED = 1, PLAN = 2, DRIVEN = 3, PROTECTION = 4, HEAD = 5, COMMAND = 6, PLAN_ENERGY = 7, WHEEL = 8, LINE = 9;
   const PLAN_TIME = 12, TIME = 13, TIME_HEAD = 15, ARRIVAL = 16, WISH = 17;
-  const BAR = 0.9, ROOM = 1.5, GROW = 1.25;
+  const BAR = 0.9, ROOM = 1.5, GROW = 1.25, TOP = 0.98;
 
   const post = (path, body, leaving) => fetch(path, {
     method: "POST", headers: { "Content-Type": "application/json" }, body: JSON.stringify(body), keepalive: leaving,
@@ -60,7 +60,8 @@
       });
     }
 
-    // The scheduled arrival, and the one of the field, not sent yet, which can be dragged as far as the lane goes.
+    // The scheduled arrival, and the one of the field, not sent yet, which can be dragged as far as the lane goes;
+    // see extend.
     bars(Plotly, el) {
       const { length_m: end, scheduled_time_s: scheduled } = this.now, at = [BAR * end, end];
       const wish = this.over || this.wish === null || this.wish === scheduled ? null : this.wish;
@@ -76,6 +77,13 @@
       this.wish = time_s;
       if (time_s > this.latest) this.latest = GROW * time_s;
       if (this.now && !this.over) this.draw((Plotly, el) => this.bars(Plotly, el));
+    }
+
+    // An arrival that was dragged to the top of the lane and let go there makes the lane longer.
+    extend(time_s) {
+      if (time_s < TOP * this.latest) return;
+      this.latest = GROW * time_s;
+      this.draw((Plotly, el) => this.bars(Plotly, el));
     }
 
     // Restrictions in force stay where they are; the one of the fields, not sent yet, can be dragged.
@@ -219,6 +227,7 @@
       view.shown();
     },
     arrive(time_s) { if (view && !view.over) view.arrive(time_s); },
+    released(time_s) { if (view && !view.over) view.extend(time_s); },
     arrival(rootId, chart) {
       if (!handle) handle = new MetropilotArrival(document.getElementById(rootId), chart);
       handle.place();

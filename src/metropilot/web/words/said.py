@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from functools import cache
 
-from metropilot.web.words import studies
+from metropilot.web.words import refusals, studies
 from metropilot.web.words.language import ENGLISH, N_, gettext, present_language
 
 WORDS = (
@@ -109,6 +109,9 @@ WORDS = (
     N_("dead time and lag"),
     N_("jerk limit"),
     N_("state of the expert system"),
+    N_("speed error"),
+    N_("position error"),
+    N_("a higher proportional gain"),
     N_("the notch chosen"),
     N_("a higher speed"),
     N_("more power"),
@@ -402,7 +405,7 @@ AND = JOINTS[-1]
 def _patterns() -> tuple[tuple[str, re.Pattern[str]], ...]:
     """Sentences with the expressions that find them."""
     found = []
-    for message in (*SENTENCES, *studies.SENTENCES):
+    for message in (*SENTENCES, *studies.SENTENCES, *refusals.SENTENCES):
         parts = re.split(r"\{(\w+)\}", message)
         for k in range(1, len(parts), 2):
             parts[k] = f"(?P<{parts[k]}>{NUMBER if parts[k] in NUMBERS else '.+?'})"
