@@ -172,3 +172,43 @@ def test_trainsets_are_listed_and_drawn(visit):
         timeout=PATIENCE_MS
     )
     expect(page.get_by_role("link", name="Edit a copy")).to_be_visible()
+
+
+def drag_handle(page, kind, row, right, down):
+    """Drag a handle of the drawing by pixels; it is taken in its middle."""
+    handle = page.locator(f'.mp-handle[data-kind="{kind}"][data-row="{row}"]')
+    handle.scroll_into_view_if_needed()
+    box = handle.bounding_box()
+    x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+    page.mouse.move(x, y)
+    page.mouse.down()
+    page.mouse.move(x + right, y + down, steps=5)
+    expect(page.locator(".mp-handle[data-value]")).to_have_count(1)
+    page.mouse.up()
+    expect(page.locator(".mp-handle[data-value]")).to_have_count(0)
+
+
+@pytest.mark.parametrize("width", [1440, 390])
+def test_a_limit_and_a_station_are_dragged_in_the_drawing(visit, width):
+    page = visit("/edit?line=yizhuang", width=width, height=900)
+    speed, begin = (cell(page, f"speed_limits.values row 4 {name}") for name in ("speed", "from"))
+    expect(page.locator(".mp-handle")).to_have_count(34 + 33 + 14)
+    drag_handle(page, "speed", 3, 0, 25)
+    expect(speed).to_have_value("65")
+    page.wait_for_function(f"Math.round({DRAWN}[0].y[3]) === 65")
+    drag_handle(page, "speed", 3, 0, 300)
+    expect(speed).to_have_value("5")  # no limit is dragged to a standstill
+    drag_handle(page, "from", 3, -8, 0)
+    expect(begin).not_to_have_value("1090")
+    assert 520 < int(begin.input_value()) < 1090
+    place = cell(page, "stations.list row 4 position")
+    drag_handle(page, "station", 3, 14, 0)
+    expect(place).not_to_have_value("6272")
+    assert 6272 < int(place.input_value()) < 8254
+    for _ in range(4):
+        page.locator('[data-test="undo"]').click()  # each drag is one change
+    expect(place).to_have_value("6272")
+    expect(begin).to_have_value("1090")
+    expect(speed).to_have_value("80")
+    expect(page.locator('[data-test="undo"]')).to_be_disabled()
+    assert page.evaluate("document.documentElement.scrollWidth") <= width

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Callable
+from contextlib import suppress
 from copy import deepcopy
 from functools import partial
 from typing import Any, Literal
 
 from fastapi import Request
-from nicegui import ui
+from nicegui import events, ui
 
 from metropilot.errors import InputError, MetropilotError
 from metropilot.railway import Line, Trainset, parse_document, toml_text
@@ -29,6 +30,7 @@ from metropilot.web.pages.frame import (
     reads,
     strip,
 )
+from metropilot.web.pages.handles import line_handles, move_handle
 from metropilot.web.pages.plots import blank, effort_figure, line_figure
 from metropilot.web.pages.strip import line_strip
 from metropilot.web.service import Service
@@ -106,10 +108,16 @@ class EditPage:
                 )
                 self.meanwhile.set_visibility(False)
                 self.uses = ui.element("div")
-            with card():
+            with card() as drawing:
                 self.numbers = ui.element("div").classes("w-full")
                 self.map = strip(_("Line as drawn"))
                 self.plot = plot(blank(380)).props('data-test="drawing"')
+                if self.kind == "line":
+                    ends = f"'c{drawing.id}', {self.plot.id}"
+                    self.plot.on("plotly_afterplot", js_handler=f"() => metropilotHandles({ends})")
+                    drawing.on("mp-handle", self.drag, ["detail"])
+                    words = _("Limits are dragged up and down and at their begin, stations along the line.")
+                    ui.label(words).classes("mp-soft")
             with card(_("Versions")):
                 self.versions = ui.element("div").classes("mp-stack").props('data-test="versions"')
         self.fill()
@@ -129,6 +137,18 @@ class EditPage:
         self.keep()
         act()
         self.check()
+
+    def drag(self, event: events.GenericEventArguments) -> None:
+        """Move a limit or station that is dragged in the drawing: one change from its take to its release."""
+        told = event.args["detail"]
+        if told["first"]:
+            self.keep()
+        with suppress(KeyError, TypeError, ValueError, InputError):
+            move_handle(self.document, str(told["kind"]), int(told["row"]), float(told["value"]))
+        if told["done"]:
+            self.fill()
+        else:
+            self.check()
 
     def keep(self) -> None:
         """Keep the document for undoing."""
@@ -165,7 +185,10 @@ class EditPage:
         if self.kind == "line" and isinstance(found, Line):
             values = catalogue.line_values(found, self.key)
             self.map.content = line_strip(values)
-            self.plot.update_figure(line_figure(values))
+            handles: list[dict[str, Any]] = []
+            with suppress(KeyError, TypeError, ValueError, InputError):  # another form of rows: typed only
+                handles = line_handles(self.document, values["stops"][-1]["position_m"])
+            self.plot.update_figure(line_figure(values, handles))
             items = [
                 (_("stations"), str(values["stations"]), ""),
                 (_("length"), number(values["length_m"] / 1000, 3, "km"), ""),

@@ -37,7 +37,7 @@ HEAD = (
     '<script src="/static/words.js"></script>'
     '<script src="/static/access.js" defer></script><script src="/static/stream.js" defer></script>'
     '<script src="/static/moments.js" defer></script><script src="/static/copies.js" defer></script>'
-    '<script src="/static/arrival.js" defer></script>'
+    '<script src="/static/arrival.js" defer></script><script src="/static/handles.js" defer></script>'
     '<script src="/static/live.js" defer></script><script src="/static/convoy.js" defer></script>'
     '<script src="/static/line.js" defer></script>'
 )

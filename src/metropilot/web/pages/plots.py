@@ -496,27 +496,49 @@ HEADWAY_SERIES = {
 """Energies over the headway: label, colour and style."""
 
 
-def line_figure(values: dict[str, Any]) -> Figure:
-    """Limits and gradients of a line.
+MOST_CODES = 24
+"""Stations whose codes stand beside them in the drawing of a line."""
+
+
+def line_figure(values: dict[str, Any], handles: Sequence[Mapping[str, Any]] = ()) -> Figure:
+    """Limits, stations and gradients of a line.
 
     Args:
         values: Values of :class:`metropilot.web.schemas.responses.LineOut`.
+        handles: Limits and stations that can be dragged (:mod:`metropilot.web.pages.handles`).
     """
-    end = values["stops"][-1]["position_m"]
+    stops = values["stops"]
+    end = stops[-1]["position_m"]
     limits = stairs(values["limit_mps"], end, KMH_PER_MPS)
     slopes = stairs(values["gradient_permil"], end)
     km = [[x / 1000 for x in limits[0]], [x / 1000 for x in slopes[0]]]
     low: Trace = {"width": 1.4, "shape": "hv", "fill": "tozeroy", "yaxis": "y2"}
+    stations = {
+        "type": "scatter",
+        "mode": "markers+text" if len(stops) <= MOST_CODES else "markers",
+        "name": _("station"),
+        "x": [stop["position_m"] / 1000 for stop in stops],
+        "y": [0.0] * len(stops),
+        "text": [stop["code"] for stop in stops],
+        # by turns above and below: on a telephone they would touch
+        "textposition": [("top center", "bottom center")[k % 2] for k in range(len(stops))],
+        "textfont": {"size": 10},
+        "marker": {"symbol": "triangle-up", "size": 10, "color": GREY},
+        "cliponaxis": False,
+        "hovertemplate": "%{text}",
+    }
     return figure(
         [
             line(_("speed limit (km/h)"), km[0], limits[1], BLACK, width=1.6, shape="hv"),
             line(_("gradient (‰)"), km[1], slopes[1], BLUE, **low),
+            stations,
         ],
         380,
         showlegend=False,
+        meta={"handles": list(handles)},
         xaxis=axis(_("position (km)"), anchor="y2"),
         yaxis=axis(_("limit (km/h)"), domain=[0.55, 1.0], rangemode="tozero"),
-        yaxis2=axis(_("gradient (‰)"), domain=[0.0, 0.45]),
+        yaxis2=axis(_("gradient (‰)"), domain=[0.0, 0.42]),
     )
 
 
