@@ -221,9 +221,10 @@ def next_expert_rate(
 ) -> Array:
     """The rate after a change of it (eqs. 15 and 16; 22 to 24 with a change of the policy's choice).
 
-    The window has the last word on the direction: below it the rate rises, above it falls. A trainset that is
-    too fast even when it coasts brakes gently, once it coasts, until it would come on time; the paper's EITOP
-    does so when it is told of a later arrival.
+    The window has the last word on the direction: below it the rate rises, above it falls, and traction above
+    it ends as quickly as it may: what it adds is braked away again. A trainset that is too fast even when it
+    coasts brakes gently, once it coasts, until it would come on time; the paper's EITOP does so when it is
+    told of a later arrival.
 
     Args:
         xp: Array namespace.
@@ -236,7 +237,7 @@ def next_expert_rate(
     late, early = window.mean_mps < window.low_mps, window.mean_mps > window.high_mps
     sure = SURE * most_mps2
     change = xp.where(late, xp.maximum(change_mps2, sure), change_mps2)
-    change = xp.where(early, xp.minimum(change, -sure), change)
+    change = xp.where(early, xp.where(rate_mps2 > 0.0, -most_mps2, xp.minimum(change, -sure)), change)
     slows = (rate_mps2 <= 0.0) & (early | ((rate_mps2 < 0.0) & (window.mean_mps > window.middle_mps)))
     change = xp.where(slows, xp.minimum(change, -sure), change)
     eased = xp.minimum(rate_mps2 + most_mps2, 0.0)
