@@ -30,12 +30,13 @@ def test_a_row_of_the_leaderboard_is_opened_as_a_run(visit, width):
         expect(page.get_by_role("combobox", name="Trainset")).to_have_value("dkz32@0.6,0.4")
 
 
-def test_a_campaign_is_declared_computed_and_shown(visit, server):
-    page = visit("/campaigns")
+@pytest.mark.parametrize("width", [1440, 390])
+def test_a_campaign_is_declared_computed_and_shown(visit, server, width):
+    page = visit("/campaigns", width=width)
     page.get_by_label("Name", exact=True).fill("by form")
     for field, station in (("From", "RJ"), ("To", "WYJ")):
         page.get_by_role("combobox", name=field, exact=True).click()
-        page.get_by_role("option", name=re.compile(f"^{station} ")).click()
+        page.get_by_role("option", name=re.compile(f"^{station} ")).last.click()
     page.get_by_text("Disturbance", exact=True).first.click()
     page.get_by_label("True mass / nominal").fill("1.0 … 1.5")
     text = page.locator('[data-test="toml"] textarea').or_(page.get_by_label("Campaign (TOML)")).first
@@ -64,8 +65,9 @@ def test_a_study_shows_its_published_page(visit):
     assert page.evaluate("document.documentElement.scrollWidth") <= 390
 
 
-def test_a_learned_driver_is_exported_as_c(visit):
-    page = visit("/learn")
+@pytest.mark.parametrize("width", [1440, 390])
+def test_a_learned_driver_is_exported_as_c(visit, width):
+    page = visit("/learn", width=width)
     page.locator('[data-test="export"]').click(timeout=PATIENCE_MS)
     status = page.locator('[data-test="export-status"]')
     expect(status).to_have_text("done", timeout=2 * PATIENCE_MS)

@@ -1,11 +1,13 @@
 """The page Convoy: depart, a link that falls silent, KPIs of every trainset."""
 
+import pytest
 from playwright.sync_api import expect
 from tests.browser.test_drive import choose, number, until
 
 
-def test_a_convoy_whose_link_falls_silent(visit):
-    page = visit("/convoy")
+@pytest.mark.parametrize("width", [1440, 390])
+def test_a_convoy_whose_link_falls_silent(visit, width):
+    page = visit("/convoy", width=width)
     expect(page.get_by_text("minimum 83.3 s")).to_be_visible()
     choose(page, "Pace", "5 ×")
     page.locator('[data-test="depart"]').click()

@@ -73,8 +73,9 @@ def test_a_line_is_copied_edited_saved_and_driven_on(visit, server, width):
     assert least > server.post("/api/section", section | {"line": "yizhuang"})["minimum_running_time_s"] + 1
 
 
-def test_a_trainset_is_drawn_as_one_types_and_compared(visit, server):
-    page = visit("/edit?trainset=dkz32")
+@pytest.mark.parametrize("width", [1440, 390])
+def test_a_trainset_is_drawn_as_one_types_and_compared(visit, server, width):
+    page = visit("/edit?trainset=dkz32", width=width)
     mass = cell(page, "mass.loads row 1 mass")
     expect(mass).to_have_value("194.295")
     page.wait_for_function(f"{DRAWN}?.length === 6")
@@ -140,8 +141,9 @@ def test_two_hands_at_one_line(visit, server):
     assert found == [70, 75, 65, float(before)]
 
 
-def test_rows_are_pasted_from_a_spreadsheet(visit, server):
-    page = visit("/edit?line=lu2023")
+@pytest.mark.parametrize("width", [1440, 390])
+def test_rows_are_pasted_from_a_spreadsheet(visit, server, width):
+    page = visit("/edit?line=lu2023", width=width)
     rows = "0\t60\n300\t75,5\n".replace(",", ".") + "900\t50\n"
     first = cell(page, "speed_limits.values row 1 from")
     first.click()

@@ -79,8 +79,9 @@ def test_a_search_is_stopped(visit, server):
     assert job["status"] == "stopped"
 
 
-def test_a_day_has_its_feed(visit):
-    page = visit("/line")
+@pytest.mark.parametrize("width", [1440, 390])
+def test_a_day_has_its_feed(visit, width):
+    page = visit("/line", width=width)
     page.get_by_role("combobox", name="Timetable").click()
     page.get_by_role("option", name="working day").click()
     expect(page.locator('[data-test="headway"]')).to_be_hidden()

@@ -25,8 +25,9 @@ PAGES = (
 )
 
 
-def test_compare(visit):
-    page = visit("/compare")
+@pytest.mark.parametrize("width", [1440, 390])
+def test_compare(visit, width):
+    page = visit("/compare", width=width)
     second = page.locator('[data-test="second"]')
     expect(second).to_contain_text("The next second saves", timeout=PATIENCE_MS)
     before = second.inner_text()
@@ -105,11 +106,12 @@ def test_what_is_not_allowed_is_said_beside_its_field(visit):
     expect(page.get_by_label("True mass / nominal")).to_have_value("0")
 
 
-def test_what_was_learned_is_compared(visit, server):
+@pytest.mark.parametrize("width", [1440, 390])
+def test_what_was_learned_is_compared(visit, server, width):
     run = "ppo-20260101-120000-ab12"
     (server.data / "runs" / run).mkdir(parents=True)
     shutil.copyfile(shipped_policy("ppo"), server.data / "runs" / run / "policy.safetensors")
-    page = visit(f"/compare?driver=learned:policy={run}")
+    page = visit(f"/compare?driver=learned:policy={run}", width=width)
     expect(page.get_by_text("minimum 83.3 s")).to_be_visible(timeout=PATIENCE_MS)
     page.locator('[data-test="compare"]').click()
     rows = page.locator('[aria-label="Comparison"] tbody tr')
@@ -131,8 +133,9 @@ def test_every_page_is_reached_on_a_telephone(visit, width):
         assert box["x"] + box["width"] <= width, name
 
 
-def test_journey(visit):
-    page = visit("/journey")
+@pytest.mark.parametrize("width", [1440, 390])
+def test_journey(visit, width):
+    page = visit("/journey", width=width)
     sections = page.locator('[data-test="sections"] tbody tr')
     expect(sections).to_have_count(13, timeout=PATIENCE_MS)
     expect(page.locator('[data-test="summary"]')).to_contain_text("against the timetable's times")
@@ -166,14 +169,15 @@ def test_a_bad_upload_is_told_beside_its_field(visit, tmp_path):
     assert page.locator("img[src=x]").count() == 0
 
 
-def test_a_good_upload_is_drawn_and_driven_on(visit, tmp_path):
+@pytest.mark.parametrize("width", [1440, 390])
+def test_a_good_upload_is_drawn_and_driven_on(visit, tmp_path, width):
     write_line(load_line("yizhuang"), tmp_path / "mine.toml")
     text = (tmp_path / "mine.toml").read_text()
     name = "<b>My</b> line & co"
     (tmp_path / "mine.toml").write_text(
         re.sub(r'(?m)^name = "Beijing[^"]*"', f'name = "{name}"', text, count=1)
     )
-    page = visit("/lines")
+    page = visit("/lines", width=width)
     page.locator('input[type="file"]').set_input_files(tmp_path / "mine.toml")
     expect(page.locator('[data-test="upload-said"]')).to_contain_text("taken as upload-", timeout=PATIENCE_MS)
     shown = page.locator('[data-test="line"]')
@@ -181,8 +185,9 @@ def test_a_good_upload_is_drawn_and_driven_on(visit, tmp_path):
     expect(shown.locator("svg circle")).to_have_count(14)
 
 
-def test_learn_stop_and_resume(visit):
-    page = visit("/learn")
+@pytest.mark.parametrize("width", [1440, 390])
+def test_learn_stop_and_resume(visit, width):
+    page = visit("/learn", width=width)
     page.get_by_label("Environment steps").fill("100000")
     page.locator('[data-test="learn"]').click()
     status = page.locator('[data-test="status"]')

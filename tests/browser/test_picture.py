@@ -157,8 +157,9 @@ def test_every_plot_is_placed_with_its_buttons():
     assert direct == {"frame.py"}
 
 
-def test_a_report_is_taken_from_the_page(visit, driven):
-    page = visit(f"/?run={driven}", width=390, height=844)
+@pytest.mark.parametrize("width", [1440, 390])
+def test_a_report_is_taken_from_the_page(visit, driven, width):
+    page = visit(f"/?run={driven}", height=844, width=width)
     link = page.locator('[data-test="result"]').get_by_role("link", name="report.pdf")
     expect(link).to_be_visible()
     answer = page.request.get(link.evaluate("at => at.href"))
