@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from statistics import median
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
@@ -65,12 +66,17 @@ def schedules_of(settings: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
+def median_score(trial: Mapping[str, Any]) -> float:
+    """Score of a tuning trial: the median over its seeds, as the tables have medians."""
+    return median(trial["score"])
+
+
 def tuned_config(learner: str, base: AbstractConfig) -> AbstractConfig:
     """Configuration of a learner with the best settings of its trials."""
     found = trials(learner)
     if not found:
         return base
-    return replace(base, **schedules_of(max(found, key=lambda one: one["mean"])["settings"]))
+    return replace(base, **schedules_of(max(found, key=median_score)["settings"]))
 
 
 LEARNERS: Mapping[str, AbstractConfig] = MappingProxyType(
