@@ -4,7 +4,7 @@
 ``trials`` of the study, which takes its settings there, and goes on from what it finds. PPO with and without
 scaling try the same settings, and so do DDPG and TD3. A trial learns a few thousand episodes on the study's
 tuning seeds, which no table reports; the score of a seed is the mean evaluation return over the last fifth
-of the learning, that of the trial their median.
+of the learning.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from metropilot.studies.chen2023a import (
     TRIALS,
     TUNING_EPISODES,
     TUNING_SEEDS,
-    median_score,
+    best_trial,
     schedules_of,
     set_length,
     trials,
@@ -121,7 +121,7 @@ def main(learner: str, count: int = TRIALS) -> None:
         done.append(trial(learned, values))
         with path.open("a") as file:
             file.write(json.dumps(done[-1]) + "\n")
-    print(learner, json.dumps(max(done, key=median_score)))
+    print(learner, json.dumps(best_trial(learner, done)))
 
 
 if __name__ == "__main__":

@@ -5,7 +5,7 @@ from .learning import FOLDER as FOLDER
 from .learning import TRIALS as TRIALS
 from .learning import TUNING_EPISODES as TUNING_EPISODES
 from .learning import TUNING_SEEDS as TUNING_SEEDS
-from .learning import median_score as median_score
+from .learning import best_trial as best_trial
 from .learning import schedules_of as schedules_of
 from .learning import set_length as set_length
 from .learning import trials as trials

