@@ -143,8 +143,12 @@ class Service:
             raise Refused(words, 429, field="user", value=name, allowed=f"at most {most}")
         kept = self.kept_bytes(name, database)
         if kept + size > self.settings.user_bytes:
-            more = f", {size / 1e6:.1f} MB more do not fit" if size else ""
-            words = f"{name} keeps {kept / 1e6:.1f} MB of runs and uploads{more}; delete some"
+            told, added = f"{kept / 1e6:.1f}", f"{size / 1e6:.1f}"
+            words = (
+                f"{name} keeps {told} MB of runs and uploads, {added} MB more do not fit; delete some"
+                if size
+                else f"{name} keeps {told} MB of runs and uploads; delete some"
+            )
             allowed = f"at most {self.settings.user_bytes / 1e6:g} MB"
             raise Refused(words, 429, field="user", value=name, allowed=allowed)
 

@@ -18,17 +18,13 @@ from metropilot.drivers import (
     PolicyFunction,
     TrackingView,
 )
+from metropilot.env import FEATURE_WORDS
 from metropilot.policy import GuardedPolicy, policy_path, shipped_policy
 from metropilot.sim import Run
 from metropilot.studies.cheng2023.law import PAPER_LAW, load_tracking_policy
 
-WORDS = {
-    "speed": "speed",
-    "command": "last command",
-    "speed_error": "speed error",
-    "position_error": "position error",
-}
-"""Observation entries in the field's words."""
+WORDS = {**FEATURE_WORDS, "speed_error": "speed error", "position_error": "position error"}
+"""Features and errors in the field's words."""
 
 
 @final

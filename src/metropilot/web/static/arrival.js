@@ -55,7 +55,7 @@
       const last = this.held;
       this.held = null;
       delete this.handle.dataset.time;
-      metropilot.released(last);
+      metropilot.release(last);
     }
 
     send() {

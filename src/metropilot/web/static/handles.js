@@ -2,8 +2,7 @@
 (() => {
   const EVERY_MS = 80, EDGE_PX = 12, LEVEL_PX = 18, STATION_PX = 24, GRID_KMH = 5, GRID_M = 10, FINE_M = 1, FINE_M_PER_PX = 0.5;
 
-  const snapped = (value, grid) => Math.round(value / grid) * grid;
-  const clamped = (value, low, high) => Math.min(Math.max(value, low), high);
+  const clamp = (value, low, high) => Math.min(Math.max(value, low), high);
 
   class Handles extends MetropilotPicture {
     constructor(root, chart) { super(root, chart); this.held = null; this.all = []; }
@@ -38,7 +37,7 @@
       const along = (m) => this.x.d2p(m / 1000), up = (kmh) => this.y.d2p(kmh), width = this.x._length, height = this.y._length;
       let left, right, top, bottom;
       if (told.kind === "speed") {
-        [left, right] = [clamped(along(told.from_m), 0, width), clamped(along(told.to_m), 0, width)];
+        [left, right] = [clamp(along(told.from_m), 0, width), clamp(along(told.to_m), 0, width)];
         [top, bottom] = [up(told.kmh) - LEVEL_PX / 2, up(told.kmh) + LEVEL_PX / 2];
       } else if (told.kind === "from") {
         [left, right] = [along(told.from_m) - EDGE_PX / 2, along(told.from_m) + EDGE_PX / 2];
@@ -68,11 +67,11 @@
       const { told, level } = held;
       if (level) {
         const top = Math.floor(Math.max(...this.y.range) / GRID_KMH) * GRID_KMH;
-        held.value = clamped(snapped(this.y.p2d(e.clientY - held.offset), GRID_KMH), GRID_KMH, top);
+        held.value = clamp(MetropilotPicture.snap(this.y.p2d(e.clientY - held.offset), GRID_KMH), GRID_KMH, top);
         held.at = { kmh: held.value };
       } else {
         const grid = (1000 * (this.x.range[1] - this.x.range[0])) / this.x._length > FINE_M_PER_PX ? GRID_M : FINE_M;
-        held.value = clamped(snapped(1000 * this.x.p2d(e.clientX - held.offset), grid), told.least_m, told.most_m);
+        held.value = clamp(MetropilotPicture.snap(1000 * this.x.p2d(e.clientX - held.offset), grid), told.least_m, told.most_m);
         held.at = { from_m: held.value };
       }
       this.all[held.k].dataset.value = level ? `${held.value} km/h` : `${held.value} m`;

@@ -227,7 +227,7 @@
       view.shown();
     },
     arrive(time_s) { if (view && !view.over) view.arrive(time_s); },
-    released(time_s) { if (view && !view.over) view.extend(time_s); },
+    release(time_s) { if (view && !view.over) view.extend(time_s); },
     arrival(rootId, chart) {
       if (!handle) handle = new MetropilotArrival(document.getElementById(rootId), chart);
       handle.place();

@@ -3,18 +3,17 @@
   const KMH = 3.6, KWH = 3.6e6, HEAD = 5, TIME_HEAD = 15, CURSOR = "moment", ROW = "restriction-", DRAFT = "draft";
   const GRID_M = 10, GRID_KMH = 5;
 
-  const snapped = (value, grid) => Math.round(value / grid) * grid;
 
   // A rectangle that was dragged, as a restriction for the fields; null for a change of anything else.
   window.metropilotDragged = (el, changes) => {
     const key = Object.keys(changes).find((name) => /^shapes\[\d+\]\.[xy][01]$/.test(name));
     const shape = key && el.layout.shapes[+key.match(/\d+/)[0]], name = (shape && shape.name) || "";
     if (name !== DRAFT && !name.startsWith(ROW)) return null;
-    const from_m = Math.max(snapped(Math.min(shape.x0, shape.x1), GRID_M), 0);
+    const from_m = Math.max(MetropilotPicture.snap(Math.min(shape.x0, shape.x1), GRID_M), 0);
     return {
       row: name === DRAFT ? null : +name.slice(ROW.length), from_m,
-      to_m: Math.max(snapped(Math.max(shape.x0, shape.x1), GRID_M), from_m + GRID_M),
-      limit_mps: Math.max(snapped(Math.min(shape.y0, shape.y1), GRID_KMH), GRID_KMH),
+      to_m: Math.max(MetropilotPicture.snap(Math.max(shape.x0, shape.x1), GRID_M), from_m + GRID_M),
+      limit_mps: Math.max(MetropilotPicture.snap(Math.min(shape.y0, shape.y1), GRID_KMH), GRID_KMH),
     };
   };
 

@@ -3,6 +3,8 @@
   window.MetropilotPicture = class {
     constructor(root, chart) { Object.assign(this, { root, chart, todo: [] }); }
 
+    static snap(value, grid) { return Math.round(value / grid) * grid; }
+
     part(name) { return this.root.querySelector(`[data-mp="${name}"]`); }
 
     set(name, text, unit) {
