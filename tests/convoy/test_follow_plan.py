@@ -8,7 +8,8 @@ import pytest
 from metropilot.convoy import FOLLOWERS, Convoy, ConvoyRequest, Link, convoy_kpis, drive_convoy, string_gains
 from metropilot.convoy.drivers.follow_gap import FollowGap, FollowGapOptions
 from metropilot.convoy.model import convoy_members
-from metropilot.convoy.plan import MotionPlan, place_behind, plan_at, plan_times
+from metropilot.convoy.place import place_behind
+from metropilot.convoy.plan import MotionPlan, plan_at, plan_times
 from metropilot.convoy.step import HALF, SPARE_M, ahead_of, at_departure, most_share, update_needed_gap
 from metropilot.evaluate import RunSpec
 from metropilot.protection import spare_gap
@@ -60,7 +61,8 @@ def test_a_follower_plans_the_gap_that_protection_needs_and_stops_at_its_mark(na
     gap = ahead.position_m - trainset.length_m - own.position_m
     assert gap[0] == pytest.approx(convoy.gap_m)
     assert gap[-1] == pytest.approx(convoy.gap_m, abs=1e-6)
-    assert gap.min() > convoy.gap_m - 0.6
+    # The trainset ahead brakes without a jerk limit, at once.
+    assert gap.min() > convoy.gap_m - 0.65
     # The emergency brake of dkz32 builds up slowly: it needs more than the desired gap while it accelerates.
     assert (gap.max() > 6.0) == (name == "dkz32")
     # The trainset ahead departs and stops without a jerk limit.

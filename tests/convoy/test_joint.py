@@ -105,5 +105,5 @@ def test_the_attainable_energy_lies_above_the_optimum_by_what_the_rules_cost(gua
         assert attainable.running_time_s == pytest.approx(time_s, abs=0.5)
         costs.append(attainable.energy_j / optimum.bound_j - 1.0)
     assert costs[0] > costs[1] > 0.005
-    assert (costs[0] > 0.1) == (guard == "coupled")
+    assert (costs[0] > 0.04) == (guard == "coupled")
     assert joint_attainable(convoy, 60.0) is None

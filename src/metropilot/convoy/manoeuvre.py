@@ -12,7 +12,8 @@ from numpy import ndarray
 
 from metropilot._typing import Bool, Float
 from metropilot.convoy.model import Convoy, Member
-from metropilot.convoy.plan import MotionPlan, place_behind
+from metropilot.convoy.place import place_behind
+from metropilot.convoy.plan import MotionPlan
 from metropilot.errors import Infeasible
 from metropilot.physics import resistance_and_gradient, track_arrays, vehicle_arrays
 from metropilot.units import J_PER_KWH

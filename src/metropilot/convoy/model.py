@@ -167,7 +167,7 @@ TRAINSETS = FieldSpec(
     "How many trainsets.", range=Range(2, 16), option="trainsets", label="Trainsets", step=1.0
 )
 FAR_M = 1e6
-LEADER_SHARE = 0.85
+LEADER_SHARE = 0.95
 """Share of its traction, its brake and 1 m/s^2 that the head uses, so that the others can follow."""
 
 
@@ -347,6 +347,7 @@ class Member(NamedTuple):
         length_m: Length.
         start_m: Position of its front at departure.
         gap_m: Desired gap to the trainset ahead.
+        first_gap_m: Gap at departure.
         apart_m: Desired gap once uncoupled.
         uncouple_at_m: Position of its front from which the uncoupled gap is desired.
         is_head: True for the head.
@@ -363,6 +364,7 @@ class Member(NamedTuple):
     length_m: Array
     start_m: Array
     gap_m: Array
+    first_gap_m: Array
     apart_m: Array
     uncouple_at_m: Array
     is_head: Array
@@ -407,6 +409,7 @@ def convoy_member(convoy: Convoy, k: int, dtype: type = np.float64) -> Member:
         length_m=dtype(trainset.length_m),
         start_m=dtype(convoy.starts_m[k]),
         gap_m=dtype(convoy.gap_m),
+        first_gap_m=dtype(convoy.first_gap_m),
         apart_m=dtype(convoy.apart_m),
         # where it is at the desired gap while the one ahead arrives at the place
         uncouple_at_m=dtype(convoy.uncouple_at_m - (k and convoy.trainsets[k - 1].length_m + convoy.gap_m)),

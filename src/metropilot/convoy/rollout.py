@@ -12,10 +12,12 @@ from numpy import ndarray
 
 from metropilot._typing import Float
 from metropilot.convoy.drivers import AbstractFollower
-from metropilot.convoy.manoeuvre import check_manoeuvres
+from metropilot.convoy.drivers.own_place import AbstractPlaceFollower
+from metropilot.convoy.manoeuvre import check_manoeuvres, plan_followers
 from metropilot.convoy.model import Convoy, Link, Member, convoy_members
 from metropilot.convoy.own_plant import learn, learned_vehicle, own_plant
-from metropilot.convoy.plan import MotionPlan, place_behind, plan_at
+from metropilot.convoy.place import place_behind
+from metropilot.convoy.plan import STANDING_MPS, MotionPlan, plan_at, plan_times, splice
 from metropilot.convoy.step import (
     UNLIMITED_MPS,
     FollowerObservation,
@@ -28,6 +30,7 @@ from metropilot.convoy.step import (
     receive_message,
     update_needed_gap,
 )
+from metropilot.errors import Infeasible
 from metropilot.physics import Command, Vehicle
 from metropilot.protection import permitted_speed
 from metropilot.railway import Restriction
@@ -56,6 +59,8 @@ PATIENCE_S = 2.0
 """Least time between two plans that a departure calls for."""
 OUTDATED = 0.03
 """Change of the learned gain of the traction that calls for a new plan of a follower."""
+LATE_S, LEAD_S = 1.5, 2.5
+"""Planned lateness of the last trainset from which on the head arrives earlier, and by how much at most."""
 LAST_M = 30.0
 """No new plan this close to the stop."""
 
@@ -163,13 +168,18 @@ class HeadDriver:
 
     Args:
         head: Run and driver.
+        lead_s: Time by which the head arrives before the schedule, for those behind that arrive after it.
+
+    Raises:
+        Infeasible: No time for that.
     """
 
-    def __init__(self, head: DrivenHead) -> None:
-        self.driver, self.traction_share = head.driver, head.traction_share
-        self.section, self.scheduled_s = head.run.section, head.run.scheduled_time_s
+    def __init__(self, head: DrivenHead, lead_s: float = 0.0) -> None:
+        self.driver, self.traction_share, self.lead_s = head.driver, head.traction_share, lead_s
+        run = replace(head.run, scheduled_time_s=head.run.scheduled_time_s - lead_s)
+        self.section, self.scheduled_s = run.section, run.scheduled_time_s
         self.pending = sorted(head.run.disturbance.updates, key=lambda update: update.at_s)
-        self.memory: Any = head.driver.init(head.run)
+        self.memory: Any = head.driver.init(run)
         self.stood_since_s, self.outcome = 0.0, RUNNING
 
     def apply_updates(self, now_s: float) -> bool:
@@ -178,7 +188,7 @@ class HeadDriver:
         self.pending = self.pending[len(due) :]
         for update in due:
             if update.scheduled_time_s is not None:
-                self.scheduled_s = update.scheduled_time_s
+                self.scheduled_s = update.scheduled_time_s - self.lead_s
             if update.restriction is not None:
                 self.section = self.section.with_restriction(update.restriction)
         return bool(due)
@@ -292,6 +302,7 @@ class ConvoyRollout:
         self.send_plan(0.0)
         if self.driving is not None:
             check_manoeuvres(self.convoy, self.members, self.plans[0][0][1])
+            self.arrive_earlier()
 
     @property
     def time_s(self) -> float:
@@ -334,6 +345,23 @@ class ConvoyRollout:
             plan = self.driving.plan(self.members[0], self.known_vehicle(0), self.states[0], now_s, self.dt)
         if plan is not None:
             self.plans[0].append((now_s, plan))
+
+    def arrive_earlier(self) -> None:
+        """Let the head arrive earlier where the last of its followers is planned to arrive late."""
+        if not isinstance(self.follower, AbstractPlaceFollower):
+            return
+        head, scheduled_s = cast("DrivenHead", self.head), cast("HeadDriver", self.driving).scheduled_s
+        last = plan_followers(self.members, self.plans[0][0][1], self.convoy.first_gap_m)[-1]
+        arrives_s = float(plan_times(last)[np.flatnonzero(last.speed_mps > STANDING_MPS)[-1]])
+        lead_s = min(arrives_s - scheduled_s - LATE_S, LEAD_S)
+        if lead_s <= 0.0:
+            return
+        try:
+            self.driving = HeadDriver(head, lead_s)
+        except Infeasible:
+            return
+        self.plans[0].clear()
+        self.send_plan(0.0)
 
     def departs(self, now_s: float) -> bool:
         """Tell if the head has left the plan that it sent, and a new one is worth its while."""
@@ -400,6 +428,8 @@ class ConvoyRollout:
                 [plan_at(known.ahead, t).position_m - plan_at(known.own, t).position_m for t in times_s]
             )
 
+        if known is not None:
+            plan = splice(known.ahead, plan)
         own = place_behind(
             plan, member._replace(believed=self.known_vehicle(k)), length_m, now_s, planned_gap
         )

@@ -1,0 +1,130 @@
+"""Gap that protection needs along a planned motion, at any time at which its places are passed."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy import ndarray
+
+from metropilot._typing import Float
+from metropilot.convoy.model import FAR_M, Member, growing_m
+from metropilot.convoy.plan import MotionPlan, PlannedMotion, plan_at, plan_times
+from metropilot.physics import effort_limits
+from metropilot.protection import Protection, TrainAhead, at_start, spare_gap
+
+MARGIN_M = 0.4
+"""Distance that a planned gap leaves beyond what protection needs."""
+SHARE_FACTOR, SHARE_SPARE = 1.05, 0.05
+"""Command that protection is asked about over the planned one, which leaves room for corrections."""
+LOST_AT_ONCE = 1.1e-3
+"""Probability of a run of lost messages that a planned gap need not allow for."""
+LONGEST_SILENCE_S = 1.0
+NEED_STEP_S = 0.5
+"""Time between two instants at which the gap that protection needs is evaluated."""
+KINK_S = 0.4
+"""Time over which a planned acceleration is averaged: where a plan continues another one it has kinks."""
+DELAY_TRIALS, LONGEST_DELAY_S, SAME_S = 5, 8.0, 0.02
+"""Steps to the delay that protection needs at a place; the longest; a step that is no longer worth one."""
+
+
+def silence_s(member: Member, dt: float) -> float:
+    """Age of messages that a planned gap allows for."""
+    loss = float(member.link.loss)
+    lost = np.ceil(np.log(LOST_AT_ONCE) / np.log(loss)) * dt if 0.0 < loss < 1.0 else 0.0
+    late = float(member.link.delay_s) + float(member.link.jitter_s)
+    # A message that is due between two periods is heard in the next.
+    return np.ceil(late / dt - 1e-6) * dt + min(lost, LONGEST_SILENCE_S)
+
+
+class NeededGap:
+    """Gap that protection needs at the rows of a planned motion, whenever they are passed (NumPy).
+
+    Attributes:
+        protection: Protection of the follower.
+        ahead: Planned motion of the trainset ahead.
+        member: The follower.
+        length_ahead_m: Length of the trainset ahead.
+        own: Planned motion of the follower.
+    """
+
+    def __init__(
+        self,
+        protection: Protection,
+        ahead: MotionPlan,
+        member: Member,
+        length_ahead_m: float,
+        own: MotionPlan,
+    ) -> None:
+        self.protection = protection
+        self.ahead, self.member, self.length_ahead_m, self.own = ahead, member, length_ahead_m, own
+        self.dt = float(own.period_s)
+        self.age = silence_s(member, self.dt)
+        # Where a plan continues another one its speed has kinks, which are not commands.
+        rows = 2 * round(0.5 * KINK_S / self.dt) + 1
+        rise = np.pad(np.append(np.diff(own.speed_mps), 0.0) / self.dt, rows // 2, "edge")
+        self.rise = np.convolve(rise, np.ones(rows) / rows, "valid")
+        self.share = planned_share(member, own, self.rise)
+        self.watched = at_start(protection)
+        self.slots = np.arange(self.watched.recent.shape[0])
+
+    def gaps_m(self, k: int, time_s: float) -> tuple[float, float, PlannedMotion]:
+        """Needed gap, gap, and motion of the trainset ahead when a row is passed at a time."""
+        x, v, rise = self.own.position_m[k], self.own.speed_mps[k], self.rise
+        then = plan_at(self.ahead, time_s)
+        gap = then.position_m - self.length_ahead_m - x
+        if v <= 0.0 and self.share[k] <= 0.0:
+            return 0.0, gap, then
+        recent = self.share[np.maximum(k - self.slots, 0)]
+        memory = self.watched._replace(
+            recent=recent,
+            share=recent.max(),
+            acceleration_mps2=np.float64(SHARE_FACTOR * max(rise[max(k - 1, 0)], 0.0)),
+        )
+        heard, before = (plan_at(self.ahead, time_s - self.age - late) for late in (0.0, self.dt))
+        # Far ahead, so that every command passes and tells what it leaves.
+        message = TrainAhead(
+            np.float64(heard.position_m - self.length_ahead_m + FAR_M),
+            np.float64(heard.speed_mps),
+            np.float64(before.acceleration_mps2),
+            np.float64(self.age),
+            self.member.bounds,
+        )
+        spare = spare_gap(self.protection, memory, x, v, self.share[k], message)
+        needed = gap + FAR_M - spare + MARGIN_M + growing_m(self.member, v, rise[k], v - then.speed_mps)
+        return needed, gap, then
+
+    def along_m(self) -> Float[ndarray, " rows"]:
+        """Needed gap at the rows at their own times."""
+        times = plan_times(self.own)
+        rows = range(0, times.size, max(round(NEED_STEP_S / self.dt), 1))
+        return np.interp(times, times[rows], [self.gaps_m(k, float(times[k]))[0] for k in rows])
+
+
+def planned_share(
+    member: Member, own: MotionPlan, rise_mps2: Float[ndarray, " rows"]
+) -> Float[ndarray, " rows"]:
+    """Command that a planned motion may take at its rows, on a trainset that answers weakly (NumPy)."""
+    limits = effort_limits(member.believed, member.track, own.position_m, own.speed_mps)
+    share = limits.command_for(rise_mps2)
+    return np.where(share > 0.0, np.minimum(SHARE_FACTOR * share + SHARE_SPARE, 1.0), share)
+
+
+def delay_along(need: NeededGap, row: int) -> Float[ndarray, " rows"]:
+    """Delay behind a motion with which protection passes its commands, at its rows (NumPy).
+
+    Args:
+        need: Gap that it needs along the motion.
+        row: Row from which on it matters.
+    """
+    times, held = plan_times(need.own), float(need.member.bounds.held_mps2)
+    rows = range(row, times.size, max(round(NEED_STEP_S / need.dt), 1))
+    found, delay = [], 0.0
+    for k in rows:
+        for _ in range(DELAY_TRIALS):
+            needed, gap, then = need.gaps_m(k, float(times[k]) + delay)
+            # A trainset ahead that has become faster meanwhile needs less gap behind it, too.
+            per_s = then.speed_mps * (1.0 + max(then.acceleration_mps2, 0.0) / held)
+            before, delay = delay, min(max(delay + (needed - gap) / max(per_s, 1.0), 0.0), LONGEST_DELAY_S)
+            if abs(delay - before) < SAME_S:
+                break
+        found.append(delay)
+    return np.interp(times, times[rows], found)
