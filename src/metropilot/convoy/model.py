@@ -301,17 +301,21 @@ class Convoy(ConvoySettings):
         section, head = extend_limits(self.section, self.cleared_after_m), self.trainsets[0]
         if self.guard != "coupled":
             return section, head
-        rate = self.rates_mps2[0]
+        # Whoever follows needs more brake and more acceleration than the head uses.
+        rate = min(self.rates_mps2[0], *(each.max_deceleration_mps2 for each in self.trainsets))
+        pulling = min(1.0, *(each.max_acceleration_mps2 for each in self.trainsets))
         safe = replace(
             head.safe_braking,
-            emergency_deceleration_mps2=min(head.safe_braking.emergency_deceleration_mps2, rate),
+            emergency_deceleration_mps2=min(
+                head.safe_braking.emergency_deceleration_mps2, self.rates_mps2[0]
+            ),
             service_deceleration_mps2=min(head.safe_braking.service_deceleration_mps2, LEADER_SHARE * rate),
         )
         return section, replace(
             head,
             safe_braking=safe,
-            max_acceleration_mps2=min(head.max_acceleration_mps2, LEADER_SHARE),
-            max_deceleration_mps2=min(head.max_deceleration_mps2, LEADER_SHARE * rate),
+            max_acceleration_mps2=LEADER_SHARE * pulling,
+            max_deceleration_mps2=LEADER_SHARE * rate,
         )
 
     def coupled_trainsets(self) -> tuple[tuple[Trainset, float], ...]:
@@ -418,22 +422,26 @@ def convoy_member(convoy: Convoy, k: int, dtype: type = np.float64) -> Member:
 
 
 @no_type_check
-def growing_m(member: Member, speed_mps: Array, acceleration_mps2: Array, closing_mps: Array) -> Array:
+def growing_m(
+    member: Member, speed_mps: Array, acceleration_mps2: Array, closing_mps: Array, ahead_mps2: Array
+) -> Array:
     """Growth of the gap that protection needs, and loss of the own one, while commands are on their way.
 
-    They cannot be taken back: a speed that rises by ``a`` a second takes ``v a / b`` more gap a second, at a
-    brake rate ``b``.
+    They cannot be taken back: a speed that rises by ``a`` a second, or that of the trainset ahead that falls
+    by ``a``, takes ``v a / b`` more gap a second, at a brake rate ``b``.
 
     Args:
         member: The trainset.
         speed_mps: Its speed.
         acceleration_mps2: Its acceleration.
         closing_mps: Its speed less that of the trainset ahead.
+        ahead_mps2: Acceleration of the trainset ahead; what it gains is not counted on.
     """
     believed = member.believed
     xp = namespace(speed_mps, closing_mps)
     late_s = believed.delay_s + believed.lag_s
-    rate = speed_mps * xp.maximum(acceleration_mps2, 0.0) / member.bounds.held_mps2 + closing_mps
+    rises_mps2 = xp.maximum(acceleration_mps2 - xp.minimum(ahead_mps2, 0.0), 0.0)
+    rate = speed_mps * rises_mps2 / member.bounds.held_mps2 + closing_mps
     return late_s * xp.maximum(rate, 0.0)
 
 

@@ -89,7 +89,8 @@ class NeededGap:
             self.member.bounds,
         )
         spare = spare_gap(self.protection, memory, x, v, self.share[k], message)
-        needed = gap + FAR_M - spare + MARGIN_M + growing_m(self.member, v, rise[k], v - then.speed_mps)
+        growing = growing_m(self.member, v, rise[k], v - then.speed_mps, then.acceleration_mps2)
+        needed = gap + FAR_M - spare + MARGIN_M + growing
         return needed, gap, then
 
     def along_m(self) -> Float[ndarray, " rows"]:

@@ -39,6 +39,8 @@ SMOOTH_S = 3.0
 """Length of each of the three means that smooth a planned gap or delay."""
 EFFORT_USE, RATE_USE = 0.97, 0.97
 """Shares of efforts, and of rates and jerk limit, that a planned motion uses; the rest is for corrections."""
+BRAKE_USE = 0.9
+"""Share of the rates with which a trainset makes up for a delay while it brakes."""
 CLOSED_MPS = 3.0
 """Speed of the trainset ahead below which its stop is so near that the gap should be closed."""
 TRACKING_PER_S, CATCH_UP_MPS2, CATCH_UP_PER_S2 = 0.8, 0.2, 0.012
@@ -192,7 +194,8 @@ def _closing(member: Member, base: MotionPlan) -> tuple[Float[ndarray, " rows"],
     permitted = permitted_speed(member.protection, base.position_m) - UNDER_MPS
     faster = np.clip(1.0 - base.speed_mps / np.maximum(permitted, 0.1), 0.0, room)
     # Whoever makes up for a delay while it brakes brakes harder.
-    share = np.clip(braking_mps2 / (RATE_USE * float(member.most_mps2)), 0.0, 1.0)
+    most = BRAKE_USE * min(float(member.most_mps2), float(member.believed.max_deceleration_mps2))
+    share = np.clip(braking_mps2 / most, 0.0, 1.0)
     return use, np.minimum(faster, 1.0 - np.sqrt(share))
 
 
@@ -219,7 +222,7 @@ def drivable(member: Member, wanted: MotionPlan, first: int, now: PlannedMotion)
     most = EFFORT_USE * limits.traction_mps2 - limits.drag_mps2
     most = np.minimum(most, RATE_USE * float(vehicle.max_acceleration_mps2)).tolist()
     least = np.maximum(
-        -EFFORT_USE * limits.brake_mps2 - limits.drag_mps2, -float(vehicle.max_deceleration_mps2)
+        -EFFORT_USE * limits.brake_mps2 - limits.drag_mps2, -RATE_USE * float(vehicle.max_deceleration_mps2)
     )
     least = np.maximum(least, -RATE_USE * float(member.most_mps2)).tolist()
     wanted_m, wanted_mps = position_m.tolist(), speed_mps.tolist()

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple, no_type_check
 from metropilot._typing import Array
 from metropilot.convoy.model import FAR_M, Channel, Member, Message, growing_m, open_channel, transmit
 from metropilot.convoy.plan import MotionPlan, plan_at
-from metropilot.physics import Command, State, at_rest, delay_steps, namespace
+from metropilot.physics import Command, State, at_rest, delay_steps, effort_limits, namespace
 from metropilot.protection import Memory as Watched
 from metropilot.protection import TrainAhead, at_start, spare_gap
 from metropilot.sim import NEVER_ENDS, PeriodRecord, RunParams, control_period, first_state
@@ -321,7 +321,10 @@ def observe_member(
     rear = now.rear_m
     apart = plant.position_m >= member.uncouple_at_m
     v, a = state.measured_mps, plant.acceleration_mps2
-    growing = growing_m(member, v, a, v - now.speed_mps)
+    # A command on its way will act, whatever is measured now.
+    limits = effort_limits(member.believed, member.track, plant.position_m, v)
+    coming = state.command * limits.traction_mps2 - limits.drag_mps2
+    growing = growing_m(member, v, xp.maximum(a, coming), v - now.speed_mps, now.acceleration_mps2)
     zero = 0.0 * rear
     off = (zero, zero, zero)
     if plans is not None:
