@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.beside_optimum import Result, beside_optimum, table, worst
-from benchmarks.report import circumstances
+from benchmarks.report import circumstances, find_section
 from metropilot.errors import MetropilotError
 from metropilot.planning import minimum_running_time
 from metropilot.policy import load_driving_policy, shipped_policy
@@ -53,6 +53,8 @@ WIDE_TRAINSETS = (
 LATE = {None: "their own", (0.0, 0.0): "none", (0.6, 0.4): "0.6 s, 0.4 s", (1.0, 0.6): "1 s, 0.6 s"}
 """Dead time and lag that a trainset declares, s, in words; None: its own."""
 WIDE_RATIOS = (1.15, 1.35)
+SEEDS = "generalist seeds"
+"""Section of the page that :mod:`benchmarks.generalist_seeds` writes."""
 WIDE_RUNS = 2
 """Sections drawn for each trainset; it drives them with every dead time and lag."""
 
@@ -457,7 +459,9 @@ def main() -> None:
     pairs = [(done[case], done[other]) for case, other in tried.items() if case in done and other in done]
     text = page(found, pairs, options)
     if options.write:
-        options.write.write_text(text)
+        # What another command has written stays.
+        seeds = find_section(options.write.read_text() if options.write.exists() else "", SEEDS)
+        options.write.write_text(text.rstrip() + (f"\n\n{seeds}\n" if seeds else "\n"))
     else:
         print(text)
 

@@ -143,13 +143,18 @@ def format_page(benchmark: Benchmark, rows: list[Row], about: dict[str, str]) ->
     return "\n".join(lines)
 
 
+def find_section(page: str, name: str) -> str:
+    """One benchmark's section of a page with its marks; empty where there is none."""
+    begin, end = f"<!-- benchmark: {name} -->", f"<!-- end: {name} -->"
+    found = re.search(re.escape(begin) + ".*?" + re.escape(end), page, re.DOTALL)
+    return found.group() if found else ""
+
+
 def replace_section(page: str, name: str, text: str) -> str:
     """The page with one benchmark's section replaced, or added at its end."""
-    begin, end = f"<!-- benchmark: {name} -->", f"<!-- end: {name} -->"
-    section = f"{begin}\n{text}\n{end}"
-    pattern = re.compile(re.escape(begin) + ".*?" + re.escape(end), re.DOTALL)
-    if pattern.search(page):
-        return pattern.sub(lambda _: section, page)
+    section = f"<!-- benchmark: {name} -->\n{text}\n<!-- end: {name} -->"
+    if known := find_section(page, name):
+        return page.replace(known, section)
     return page.rstrip() + f"\n\n{section}\n"
 
 

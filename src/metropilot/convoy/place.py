@@ -54,8 +54,10 @@ SHIFT_FROM_M, SHIFT_TO_M = 60.0, 1.0
 """Distances to the own mark between which a planned motion is shifted to end there."""
 LIMIT_S = 1.0
 """Time constant with which a planned motion approaches the permitted speed, without dead time and lag."""
-CLOSING_USE, LATEST_USE, LATEST_SLOPE_MPS = 0.4, 0.85, 1.0
-"""Share of the gap beyond the needed one that closing it may take up; where the stop is near; rate there."""
+DELAY_USE, BRAKING_USE = 0.4, 0.85
+"""Share of the gap beyond the needed one that making up for a delay may take; while it brakes."""
+CLOSING_USE, LATEST_USE, LATEST_SLOPE_MPS = 0.3, 0.6, 1.0
+"""The same of closing a gap; where the stop is near; rate there."""
 
 
 PlannedGap = Callable[[ndarray], ndarray]
@@ -82,22 +84,21 @@ def place_behind(
     times, dt = plan_times(ahead), float(ahead.period_s)
     rear = ahead.position_m - length_ahead_m
     first = min(max(round((now_s - times[0]) / dt), 0), times.size - 2)
+    before = rear[: first + 1] - planned_gap(times[: first + 1])
     base = ahead._replace(position_m=rear - float(member.gap_m))
-    if manoeuvres(member):
-        apart = base.position_m >= member.uncouple_at_m
-        wanted = np.where(apart, float(member.apart_m), float(member.gap_m))
-        needed = np.zeros(times.size)
-        if member.protection is not None:
-            needed = NeededGap(member.protection, ahead, member, length_ahead_m, base).along_m()
-        gap = smooth_gap(member, base, wanted, needed, first, planned_gap)
-        opening = np.gradient(gap, dt)
-        base = base._replace(position_m=rear - gap, speed_mps=np.maximum(ahead.speed_mps - opening, 0.0))
-    before = _planned_before(rear, times, first, planned_gap)
     need = None
     if member.protection is not None:
         need = NeededGap(member.protection, ahead, member, length_ahead_m, base)
-    delay_s = needed_delay(member, need, base, first, float(before[-1]))
-    own = drivable(member, delayed(base, delay_s), first, _motion_now(before, dt))
+    if manoeuvres(member):
+        apart = base.position_m >= member.uncouple_at_m
+        asked = np.where(apart, float(member.apart_m), float(member.gap_m))
+        needed = np.zeros(times.size) if need is None else need.along_m()
+        gap = smooth_gap(member, base, asked, needed, first, planned_gap)
+        opening = np.gradient(gap, dt)
+        wanted = base._replace(position_m=rear - gap, speed_mps=np.maximum(ahead.speed_mps - opening, 0.0))
+    else:
+        wanted = delayed(base, needed_delay(member, need, base, first, float(before[-1])))
+    own = drivable(member, wanted, first, _motion_now(before, dt))
     position_m = np.concatenate([before[:-1], own.position_m])
     speed_mps = np.concatenate([np.gradient(position_m[: first + 2], dt)[:first], own.speed_mps])
     own = own._replace(position_m=position_m, speed_mps=speed_mps)
@@ -105,13 +106,6 @@ def place_behind(
     # As long as that of the trainset ahead, or until it stands.
     rows = max(rows, moving[-1] + 2 if moving.size else 0)
     return own._replace(position_m=own.position_m[:rows], speed_mps=own.speed_mps[:rows])
-
-
-def _planned_before(
-    rear_m: Float[ndarray, " rows"], times: Float[ndarray, " rows"], first: int, planned_gap: PlannedGap
-) -> Float[ndarray, " known"]:
-    """Positions of a follower as planned so far, up to the row of now."""
-    return rear_m[: first + 1] - planned_gap(times[: first + 1])
 
 
 def _motion_now(before_m: Float[ndarray, " known"], dt: float) -> PlannedMotion:
@@ -188,7 +182,7 @@ def _closing(member: Member, base: MotionPlan) -> tuple[Float[ndarray, " rows"],
     """Share of the spare gap that making up for a delay may take, and the most of it over time."""
     braking_mps2 = -np.gradient(base.speed_mps, float(base.period_s))
     brakes = braking_mps2 > BRAKING_MPS2
-    use, room = np.where(brakes, LATEST_USE, CLOSING_USE), np.where(brakes, BRAKING_SHARE, CLOSING_SHARE)
+    use, room = np.where(brakes, BRAKING_USE, DELAY_USE), np.where(brakes, BRAKING_SHARE, CLOSING_SHARE)
     if member.protection is None:
         return use, room
     permitted = permitted_speed(member.protection, base.position_m) - UNDER_MPS
@@ -242,13 +236,14 @@ def drivable(member: Member, wanted: MotionPlan, first: int, now: PlannedMotion)
     ).min(axis=1)
     cap, jerk, w = lowest.tolist(), RATE_USE * float(vehicle.jerk_mps3) * dt, TRACKING_PER_S
     takes = (speed_mps / float(member.bounds.held_mps2) + 1.0).tolist()
-    stands = np.flatnonzero(speed_mps > CREEP_MPS).max(initial=0)
+    stands, closes = np.flatnonzero(speed_mps > CREEP_MPS).max(initial=0), manoeuvres(member)
     x, v, a = now
     positions, speeds = [x], [v]
     for k in range(len(wanted_m) - 1):
         rise = (wanted_mps[k + 1] - wanted_mps[k]) / dt
         behind = wanted_m[k] - x
-        faster = min(max(0.5 * w * behind, -SLOPE_MPS), LATEST_USE * max(behind, 0.0) / takes[k])
+        most_faster = SLOPE_MPS if closes else BRAKING_USE * max(behind, 0.0) / takes[k]
+        faster = min(max(0.5 * w * behind, -SLOPE_MPS), most_faster)
         most_up = CATCH_UP_MPS2 + CATCH_UP_PER_S2 * max(wanted_m[k] - x, 0.0)
         catching_up = min(2.0 * w * (wanted_mps[k] + faster - v), most_up)
         free = min(rise + catching_up, (cap[k + 1] - v) / late_s)
