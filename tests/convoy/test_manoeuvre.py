@@ -81,7 +81,7 @@ def test_a_convoy_without_room_is_refused_and_told_what_it_takes(wrong: dict[str
 def test_a_gap_that_closes_only_at_the_stop_is_refused():
     """It was driven, and failed: the gap was not held for 3 s before the stop."""
     head = RunSpec("yizhuang", "RJ", "WYJ", time_s=150.0, trainset="cheng2023", dt_s=0.1)
-    with pytest.raises(Infeasible, match="about 1290 m of way, there are 1280 m"):
+    with pytest.raises(Infeasible, match="about 1300 m of way, there are 1280 m"):
         ConvoyRequest(head, start_gap_m=400.0).drive()
 
 
