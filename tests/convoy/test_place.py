@@ -39,7 +39,8 @@ def test_nobody_brakes_before_it_accelerates(convoy: Convoy):
     for plan in plans:
         moving = plan.speed_mps[200 : int(np.argmax(plan.speed_mps))]
         assert np.maximum.accumulate(moving)[-1] > 14.0
-        assert (np.maximum.accumulate(moving) - moving).max() < 3.0
+        # Each of seven gives up 0.3 m/s beyond what the trainset ahead does, for the delay of an acceleration.
+        assert (np.maximum.accumulate(moving) - moving).max() < 3.5
     stands = [plan_times(plan)[np.flatnonzero(plan.speed_mps > 0.05)[-1]] for plan in plans]
     assert 0.0 < stands[-1] - stands[0] < 3.0
 
