@@ -103,7 +103,7 @@ def drive_case(name: str, link: str, count: int, origin: str, destination: str) 
 
 
 def rules_percent(drive: ConvoyDrive, kpis: ConvoyKpis) -> float | None:
-    """What the service limits of the convoy and its jerk limit cost at best, in % of the joint optimum."""
+    """Least cost of the convoy's service limits and its jerk limit, in % of the joint optimum."""
     if kpis.joint_optimal_energy_kwh is None:
         return None
     plan = joint_attainable(drive.convoy, max(member.running_time_s for member in kpis.trainsets))

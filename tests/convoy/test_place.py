@@ -36,11 +36,11 @@ def test_nobody_brakes_before_it_accelerates(convoy: Convoy):
     """Followers opened a gap before they needed it: the last of eight fell from 15 to 9 m/s."""
     head = motion((0.8, 15.0), (0.0, 50.0), (0.8, 4.0), (-0.05, 60.0), (-0.65, 20.0))
     plans = plan_followers(convoy_members(convoy), head, convoy.gap_m)
-    for plan in plans:
+    for k, plan in enumerate(plans):
         moving = plan.speed_mps[200 : int(np.argmax(plan.speed_mps))]
         assert np.maximum.accumulate(moving)[-1] > 14.0
-        # Each of seven gives up 0.3 m/s beyond what the trainset ahead does, for the delay of an acceleration.
-        assert (np.maximum.accumulate(moving) - moving).max() < 3.5
+        # Each gives up a little more than the trainset ahead, for the delay of an acceleration; it was 1.2 m/s.
+        assert (np.maximum.accumulate(moving) - moving).max() < 0.1 + 0.6 * k
     stands = [plan_times(plan)[np.flatnonzero(plan.speed_mps > 0.05)[-1]] for plan in plans]
     assert 0.0 < stands[-1] - stands[0] < 3.0
 
