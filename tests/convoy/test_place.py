@@ -39,7 +39,7 @@ def test_nobody_brakes_before_it_accelerates(convoy: Convoy):
     for k, plan in enumerate(plans):
         moving = plan.speed_mps[200 : int(np.argmax(plan.speed_mps))]
         assert np.maximum.accumulate(moving)[-1] > 14.0
-        # Each gives up a little more than the trainset ahead, for the delay of an acceleration; it was 1.2 m/s.
+        # Each gives up more than the trainset ahead, for the delay of an acceleration (1.2 m/s before).
         assert (np.maximum.accumulate(moving) - moving).max() < 0.1 + 0.6 * k
     stands = [plan_times(plan)[np.flatnonzero(plan.speed_mps > 0.05)[-1]] for plan in plans]
     assert 0.0 < stands[-1] - stands[0] < 3.0
