@@ -60,6 +60,8 @@ def learned_with(about: Any) -> str:  # noqa: ANN401 (what a policy's file says)
     """Options of the learning run in words."""
     words = about["provenance"]["command"].split()
     kept = [f"{a} {b}" for a, b in pairwise(words) if a in {"--set", "--steps"}]
+    if about["provenance"]["steps"] <= about["config"]["decisions"]:
+        return "imitation alone"
     return f"`{' '.join(kept)}`" if kept else "as shipped"
 
 
