@@ -98,7 +98,7 @@ def test_the_needed_gap_grows_while_the_trainset_ahead_brakes(convoy: Convoy):
 def test_the_head_leaves_brake_and_acceleration_to_the_weakest():
     weak = replace(load_trainset("cheng2023"), max_deceleration_mps2=0.5, max_acceleration_mps2=0.6)
     head = Convoy(SECTION, (load_trainset("dkz32"), weak), dt=DT).leader()[1]
-    assert head.max_deceleration_mps2 == pytest.approx(0.95 * 0.5)
+    assert head.max_deceleration_mps2 == pytest.approx(0.85 * 0.5)
     assert head.max_acceleration_mps2 == pytest.approx(0.95 * 0.6)
 
 

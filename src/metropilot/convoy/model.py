@@ -169,6 +169,8 @@ TRAINSETS = FieldSpec(
 FAR_M = 1e6
 LEADER_SHARE = 0.95
 """Share of its traction, its brake and 1 m/s^2 that the head uses, so that the others can follow."""
+BRAKE_SHARE, STOPPING_MPS = 0.85, 5.0
+"""Share of the weakest service brake of a convoy that the head uses; the speed at which it is asked for."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -301,8 +303,9 @@ class Convoy(ConvoySettings):
         section, head = extend_limits(self.section, self.cleared_after_m), self.trainsets[0]
         if self.guard != "coupled":
             return section, head
-        # Whoever follows needs more brake and more acceleration than the head uses.
-        rate = min(self.rates_mps2[0], *(each.max_deceleration_mps2 for each in self.trainsets))
+        # Whoever follows needs more brake and more acceleration than the head uses, and may be heavier.
+        weakest = min(map(service_brake_mps2, self.trainsets))
+        rate = min(self.rates_mps2[0], BRAKE_SHARE / LEADER_SHARE * weakest)
         pulling = min(1.0, *(each.max_acceleration_mps2 for each in self.trainsets))
         safe = replace(
             head.safe_braking,
@@ -324,6 +327,13 @@ class Convoy(ConvoySettings):
             return ()
         known = [self.disturbance(k).nominal(each) for k, each in enumerate(self.trainsets)]
         return tuple((each, -start) for each, start in zip(known, self.starts_m, strict=True))[1:]
+
+
+def service_brake_mps2(trainset: Trainset) -> float:
+    """Deceleration of the full service brake on the level before a stop, without resistance."""
+    vehicle = vehicle_arrays(trainset)
+    brake_n = float(effort_at(vehicle, np.float64(STOPPING_MPS)).brake_n)
+    return min(trainset.max_deceleration_mps2, brake_n / float(vehicle.effective_mass_kg))
 
 
 def extend_limits(section: Section, extra_m: float) -> Section:

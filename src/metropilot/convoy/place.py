@@ -39,8 +39,8 @@ SMOOTH_S = 3.0
 """Length of each of the three means that smooth a planned gap or delay."""
 EFFORT_USE, RATE_USE = 0.97, 0.97
 """Shares of efforts, and of rates and jerk limit, that a planned motion uses; the rest is for corrections."""
-BRAKE_USE = 0.9
-"""Share of the rates with which a trainset makes up for a delay while it brakes."""
+BRAKE_USE, BRAKE_LIMIT = 0.85, 0.92
+"""Shares of the brake: with which a trainset makes up for a delay while braking; that a plan uses at most."""
 CLOSED_MPS = 3.0
 """Speed of the trainset ahead below which its stop is so near that the gap should be closed."""
 TRACKING_PER_S, CATCH_UP_MPS2, CATCH_UP_PER_S2 = 0.8, 0.2, 0.012
@@ -216,9 +216,10 @@ def drivable(member: Member, wanted: MotionPlan, first: int, now: PlannedMotion)
     most = EFFORT_USE * limits.traction_mps2 - limits.drag_mps2
     most = np.minimum(most, RATE_USE * float(vehicle.max_acceleration_mps2)).tolist()
     least = np.maximum(
-        -EFFORT_USE * limits.brake_mps2 - limits.drag_mps2, -RATE_USE * float(vehicle.max_deceleration_mps2)
+        -EFFORT_USE * limits.brake_mps2 - limits.drag_mps2,
+        -BRAKE_LIMIT * float(vehicle.max_deceleration_mps2),
     )
-    least = np.maximum(least, -RATE_USE * float(member.most_mps2)).tolist()
+    least = np.maximum(least, -BRAKE_LIMIT * float(member.most_mps2)).tolist()
     wanted_m, wanted_mps = position_m.tolist(), speed_mps.tolist()
     permitted = np.full(position_m.size, np.inf)
     if member.protection is not None:
