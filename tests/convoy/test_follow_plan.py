@@ -56,7 +56,8 @@ def test_a_follower_plans_the_gap_that_protection_needs_and_stops_at_its_mark(na
     trainset = load_trainset(name)
     convoy = Convoy(YIZHUANG.section("RJ", "WYJ"), (trainset,) * 3, dt=DT)
     member = convoy_members(convoy)[1]
-    ahead = ramp(0.8, 60.0, 12.0)
+    # As hard as the head of a coupled convoy brakes.
+    ahead = ramp(0.76, 60.0, 12.0)
     own = place_behind(ahead, member, trainset.length_m, 0.0, lambda times: np.full(times.size, convoy.gap_m))
     gap = ahead.position_m - trainset.length_m - own.position_m[: ahead.position_m.size]
     assert gap[0] == pytest.approx(convoy.gap_m)
