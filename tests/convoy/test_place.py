@@ -9,7 +9,7 @@ from metropilot.convoy import Convoy, ConvoyRequest, Link, convoy_kpis, drive_co
 from metropilot.convoy.manoeuvre import plan_followers
 from metropilot.convoy.model import convoy_members, growing_m
 from metropilot.convoy.needed import NeededGap
-from metropilot.convoy.place import delayed
+from metropilot.convoy.place import delay_motion
 from metropilot.convoy.plan import MotionPlan, plan_at, plan_times, splice
 from metropilot.evaluate import RunSpec
 from metropilot.railway import load_line, load_trainset
@@ -61,10 +61,10 @@ def test_protection_passes_what_is_planned(convoy: Convoy):
 
 def test_a_delay_that_grows_is_a_lower_speed():
     base = motion((0.5, 20.0), (0.0, 30.0))
-    constant = delayed(base, np.full(base.position_m.size, 2.0))
+    constant = delay_motion(base, np.full(base.position_m.size, 2.0))
     assert constant.position_m[120] == pytest.approx(base.position_m[100])
     assert constant.speed_mps[120] == pytest.approx(base.speed_mps[100])
-    growing = delayed(base, 0.1 * plan_times(base))
+    growing = delay_motion(base, 0.1 * plan_times(base))
     assert growing.speed_mps[400] == pytest.approx(10.0 / 1.1)
     assert np.diff(growing.position_m[300:400]) == pytest.approx(DT * 10.0 / 1.1)
 

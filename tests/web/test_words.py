@@ -160,7 +160,7 @@ def texts_of(node, names):
     return names.get(node.id, []) if isinstance(node, ast.Name) else []
 
 
-def assigned(function):
+def collect_texts(function):
     """Texts of the names that a function assigns, alone or in pairs."""
     names = {}
     for node in ast.walk(function):
@@ -180,7 +180,7 @@ def refusals_of(path):
     for function in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if not isinstance(function, ast.FunctionDef | ast.AsyncFunctionDef):
             continue
-        names = assigned(function)
+        names = collect_texts(function)
         for node in ast.walk(function):
             if isinstance(node, ast.Call) and node.args and getattr(node.func, "id", None) in REFUSALS:
                 yield from texts_of(node.args[0], names)

@@ -168,7 +168,8 @@ TRAINSETS = FieldSpec(
 )
 FAR_M = 1e6
 LEADER_SHARE = 0.95
-"""Share of its traction, its brake and 1 m/s^2 that the head uses, so that the others can follow."""
+"""Share that the head uses, so that the others can follow: of its traction, of the rate of its brake, and of
+the least acceleration in the convoy, 1 m/s^2 at most."""
 BRAKE_SHARE, STOPPING_MPS = 0.85, 5.0
 """Share of the weakest service brake of a convoy that the head uses; the speed at which it is asked for."""
 
@@ -304,21 +305,16 @@ class Convoy(ConvoySettings):
         if self.guard != "coupled":
             return section, head
         # Whoever follows needs more brake and more acceleration than the head uses, and may be heavier.
-        weakest = min(map(service_brake_mps2, self.trainsets))
-        rate = min(self.rates_mps2[0], BRAKE_SHARE / LEADER_SHARE * weakest)
-        pulling = min(1.0, *(each.max_acceleration_mps2 for each in self.trainsets))
+        rate = self.rates_mps2[0]
+        brake = min(LEADER_SHARE * rate, BRAKE_SHARE * min(map(service_brake_mps2, self.trainsets)))
+        pull = LEADER_SHARE * min(1.0, *(each.max_acceleration_mps2 for each in self.trainsets))
         safe = replace(
             head.safe_braking,
-            emergency_deceleration_mps2=min(
-                head.safe_braking.emergency_deceleration_mps2, self.rates_mps2[0]
-            ),
-            service_deceleration_mps2=min(head.safe_braking.service_deceleration_mps2, LEADER_SHARE * rate),
+            emergency_deceleration_mps2=min(head.safe_braking.emergency_deceleration_mps2, rate),
+            service_deceleration_mps2=min(head.safe_braking.service_deceleration_mps2, brake),
         )
         return section, replace(
-            head,
-            safe_braking=safe,
-            max_acceleration_mps2=LEADER_SHARE * pulling,
-            max_deceleration_mps2=LEADER_SHARE * rate,
+            head, safe_braking=safe, max_acceleration_mps2=pull, max_deceleration_mps2=brake
         )
 
     def coupled_trainsets(self) -> tuple[tuple[Trainset, float], ...]:

@@ -97,8 +97,8 @@ def place_behind(
         opening = np.gradient(gap, dt)
         wanted = base._replace(position_m=rear - gap, speed_mps=np.maximum(ahead.speed_mps - opening, 0.0))
     else:
-        wanted = delayed(base, needed_delay(member, need, base, first, float(before[-1])))
-    own = drivable(member, wanted, first, _motion_now(before, dt))
+        wanted = delay_motion(base, needed_delay(member, need, base, first, float(before[-1])))
+    own = make_drivable(member, wanted, first, _motion_now(before, dt))
     position_m = np.concatenate([before[:-1], own.position_m])
     speed_mps = np.concatenate([np.gradient(position_m[: first + 2], dt)[:first], own.speed_mps])
     own = own._replace(position_m=position_m, speed_mps=speed_mps)
@@ -122,8 +122,8 @@ def manoeuvres(member: Member) -> bool:
     return bool(member.first_gap_m != member.gap_m or np.isfinite(member.uncouple_at_m))
 
 
-def delayed(base: MotionPlan, delay_s: Float[ndarray, " rows"]) -> MotionPlan:
-    """Motion that passes every place of a motion later by a delay that changes along it (NumPy)."""
+def delay_motion(base: MotionPlan, delay_s: Float[ndarray, " rows"]) -> MotionPlan:
+    """Delay a motion: it passes every place later, by what may change along it (NumPy)."""
     times, dt = plan_times(base), float(base.period_s)
     slower = np.maximum(1.0 + np.gradient(delay_s, dt), 0.2)
     passes_s = np.maximum.accumulate(times + delay_s)
@@ -155,12 +155,11 @@ def needed_delay(
     needed = np.zeros(count) if need is None else delay_along(need, row)
     half = max(round(0.5 * SMOOTH_S / dt), 1)
     reach, speed = 3 * half, base.speed_mps
-    window = np.lib.stride_tricks.sliding_window_view(np.pad(needed, reach, "edge"), 2 * reach + 1)
-    wide = window.max(axis=1)
+    wide = hold_largest(needed, reach)
     opens = OPENING_MPS / np.maximum(speed, OPENING_MPS / FASTEST_SHARE)
     for j in range(count - 2, row, -1):
         wide[j] = max(wide[j], wide[j + 1] - opens[j] * dt)
-    use, room = _closing(member, base)
+    use, room = _limit_closing(member, base)
     takes = speed / float(member.bounds.held_mps2) + 1.0
     delay, own_mps = np.full(count, late_s), speed[row]
     for j in range(row + 1, count):
@@ -172,13 +171,14 @@ def needed_delay(
         delay[j] = min(max(wide[j], before - closes * dt), before + most * dt)
         own_mps = speed[j] / max(1.0 + (delay[j] - before) / dt, 0.1)
     smooth = smooth_out(np.pad(delay, reach, "edge"), half)
-    fades = smooth[row : row + reach]
-    fades += (late_s - smooth[row]) * np.linspace(1.0, 0.0, reach)[: fades.size]
+    fade_from(late_s, smooth[row : row + reach], reach)
     smooth[:row] = late_s
     return smooth
 
 
-def _closing(member: Member, base: MotionPlan) -> tuple[Float[ndarray, " rows"], Float[ndarray, " rows"]]:
+def _limit_closing(
+    member: Member, base: MotionPlan
+) -> tuple[Float[ndarray, " rows"], Float[ndarray, " rows"]]:
     """Share of the spare gap that making up for a delay may take, and the most of it over time."""
     braking_mps2 = -np.gradient(base.speed_mps, float(base.period_s))
     brakes = braking_mps2 > BRAKING_MPS2
@@ -193,6 +193,17 @@ def _closing(member: Member, base: MotionPlan) -> tuple[Float[ndarray, " rows"],
     return use, np.minimum(faster, 1.0 - np.sqrt(share))
 
 
+def hold_largest(values: Float[ndarray, " rows"], reach: int) -> Float[ndarray, " rows"]:
+    """The largest value within so many rows on either side."""
+    window = np.lib.stride_tricks.sliding_window_view(np.pad(values, reach, "edge"), 2 * reach + 1)
+    return window.max(axis=1)
+
+
+def fade_from(first: float, values: Float[ndarray, " rows"], reach: int) -> None:
+    """Move values, in place, so that they begin with the first; the difference fades over so many rows."""
+    values += (first - values[0]) * np.linspace(1.0, 0.0, reach)[: values.size]
+
+
 def smooth_out(values: Float[ndarray, " padded"], half: int) -> Float[ndarray, " rows"]:
     """Three moving means, each over so many rows on either side; shorter by three times as many on both."""
     mean = np.ones(2 * half + 1) / (2 * half + 1)
@@ -201,7 +212,7 @@ def smooth_out(values: Float[ndarray, " padded"], half: int) -> Float[ndarray, "
     return values
 
 
-def drivable(member: Member, wanted: MotionPlan, first: int, now: PlannedMotion) -> MotionPlan:
+def make_drivable(member: Member, wanted: MotionPlan, first: int, now: PlannedMotion) -> MotionPlan:
     """Motion near a wanted one that the trainset can drive: within its rates, efforts and jerk limit (NumPy).
 
     Args:
@@ -303,8 +314,7 @@ def smooth_gap(
     held = float(member.bounds.held_mps2)
     takes = level.speed_mps[first:] / held + 1.0
     opening = np.minimum(slope, GAP_SHARE * level.speed_mps[first:])
-    window = np.lib.stride_tricks.sliding_window_view
-    envelope = window(np.pad(target, reach, "edge"), 2 * reach + 1).max(axis=1)
+    envelope = hold_largest(target, reach)
     for k in range(envelope.size - 2, -1, -1):
         envelope[k] = max(envelope[k], envelope[k + 1] - slope * dt)
     envelope[: reach + 1] = known[reach : reach + envelope.size]
@@ -326,6 +336,6 @@ def smooth_gap(
         envelope[k] = min(max(envelope[k], least), before + opening[k] * dt)
     smooth = np.concatenate([known[:reach], np.pad(envelope, (0, reach), "edge")])
     smooth = smooth_out(smooth, half)
-    # The means round off what is known: the difference fades.
-    smooth[:reach] += (known[reach] - smooth[0]) * np.linspace(1.0, 0.0, reach)[: smooth.size]
+    # The means round off what is known.
+    fade_from(float(known[reach]), smooth[:reach], reach)
     return np.concatenate([planned_gap(plan_times(level)[:first]), smooth])

@@ -16,7 +16,7 @@ from metropilot.convoy.drivers.own_place import AbstractPlaceFollower
 from metropilot.convoy.manoeuvre import check_manoeuvres, plan_followers
 from metropilot.convoy.model import Convoy, Link, Member, convoy_members
 from metropilot.convoy.own_plant import learn, learned_vehicle, own_plant
-from metropilot.convoy.place import place_behind
+from metropilot.convoy.place import manoeuvres, place_behind
 from metropilot.convoy.plan import STANDING_MPS, MotionPlan, plan_at, plan_times, splice
 from metropilot.convoy.step import (
     UNLIMITED_MPS,
@@ -348,11 +348,13 @@ class ConvoyRollout:
 
     def arrive_earlier(self) -> None:
         """Let the head arrive earlier where the last of its followers is planned to arrive late."""
-        if not isinstance(self.follower, AbstractPlaceFollower):
+        # Who couples or uncouples has been checked for room, and a follower without a plan keeps its gap.
+        planned = isinstance(self.follower, AbstractPlaceFollower)
+        if not planned or any(map(manoeuvres, self.members[1:])):
             return
         head, scheduled_s = cast("DrivenHead", self.head), cast("HeadDriver", self.driving).scheduled_s
         last = plan_followers(self.members, self.plans[0][0][1], self.convoy.first_gap_m)[-1]
-        arrives_s = float(plan_times(last)[np.flatnonzero(last.speed_mps > STANDING_MPS)[-1]])
+        arrives_s = float(plan_times(last)[np.flatnonzero(last.speed_mps > STANDING_MPS).max(initial=0)])
         lead_s = min(arrives_s - scheduled_s - LATE_S, LEAD_S)
         if lead_s <= 0.0:
             return
