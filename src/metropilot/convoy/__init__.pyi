@@ -26,6 +26,7 @@ from .capacity import write_capacity as write_capacity
 from .drivers import FOLLOWERS as FOLLOWERS
 from .drivers import AbstractFollower as AbstractFollower
 from .drivers import register_follower as register_follower
+from .drivers.follow_pid import FollowPidOptions as FollowPidOptions
 from .drivers.follow_pid import chen2023b_state as chen2023b_state
 from .drivers.follow_pid import gains_of as gains_of
 from .drivers.follow_pid import pid_step as pid_step

@@ -12,6 +12,7 @@ from metropilot._provenance import circumstances
 from metropilot._registry import Registry, RegistryRow
 from metropilot.errors import InputError
 from metropilot.studies.report import (
+    Figure,
     LiteralReport,
     PrintedSetting,
     ReportRow,
@@ -88,10 +89,12 @@ class LiteralRun:
     Attributes:
         rows: The numbers; table, case, driver and quantity are those of the study's row to stand beside.
         remarks: What was cut short, and findings.
+        figures: Figures of these runs, after those of the study.
     """
 
     rows: Sequence[ReportRow]
     remarks: Sequence[str] = ()
+    figures: Sequence[Figure] = ()
 
 
 @dataclass(frozen=True)
@@ -219,7 +222,8 @@ def reproduce(study_id: str, order: Order) -> StudyReport:
         run = literal.measure(order)
         found = LiteralReport(literal.settings, compare_rows(run.rows, report.rows), run.remarks)
         deviations = [*report.deviations, *found.deviations()]
-        report = replace(report, as_printed=found, deviations=deviations)
+        figures = [*report.figures, *run.figures]
+        report = replace(report, as_printed=found, deviations=deviations, figures=figures)
     return replace(
         report,
         study=study.id,

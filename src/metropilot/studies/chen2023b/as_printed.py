@@ -1,83 +1,220 @@
-"""SAC-PID and DDPG-PID with the paper's own reward, behind one head, without protection."""
+"""SAC-PID and DDPG-PID for as many episodes as in the paper, behind one head, without protection."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 
-from metropilot.convoy import FOLLOWERS, GAP_M, ConvoyTask, ConvoyTaskConfig
-from metropilot.studies.chen2023b.drivers import FollowPolicyOptions
-from metropilot.studies.chen2023b.learning import ETAS, NAMES, STEPS, config, make_evaluation
-from metropilot.studies.chen2023b.setting import FIGURES, HEAD_CASE, drive_pair, drive_rows
-from metropilot.studies.learning import LearnJob
-from metropilot.studies.report import PrintedSetting, ReportRow, make_row
+from metropilot.convoy import (
+    FOLLOWERS,
+    GAP_M,
+    AbstractFollower,
+    ConvoyDrive,
+    ConvoyTask,
+    ConvoyTaskConfig,
+    FollowerObservation,
+    FollowPidOptions,
+)
+from metropilot.physics import Vehicle
+from metropilot.studies.chen2023b.drivers import AbstractGainFollower, FollowPolicyOptions
+from metropilot.studies.chen2023b.figures import draw_gains, draw_returns
+from metropilot.studies.chen2023b.learning import (
+    ETAS,
+    FIRST_RETURN,
+    LAST_RETURN,
+    NAMES,
+    STEPS,
+    config,
+    first_and_last,
+    make_evaluation,
+)
+from metropilot.studies.chen2023b.setting import FIGURES, HEAD_CASE, drive_pair, drive_rows, pair
+from metropilot.studies.learning import LearnJob, SeedResult
+from metropilot.studies.report import Figure, PrintedSetting, ReportRow, make_row
 from metropilot.studies.study import AsPrinted, LiteralRun, Order
 
 if TYPE_CHECKING:
     from metropilot.learn import AbstractConfig
 
-EPISODES = 10_000
-CUT = {"quick": 16, "paper": 400}
-"""Episodes; the paper's number takes hours, at some 2,000 control periods a second."""
+EPISODES = {"quick": 16, "paper": 10_000}
 PERIODS = 1_000
 """Control periods of an episode."""
-SEEDS = 1
+SEEDS = {"quick": 1, "paper": 5}
+ENVIRONMENTS = {"quick": 32, "paper": 128}
+MEMORY = {"quick": 32_000, "paper": 320_000}
+"""Control periods in the replay buffer."""
+REWARDED = {"paper": 0.0, "soft": GAP_M}
+"""Gap that eq. 18 rewards most, for each choice of eta."""
+UPPER = FollowPidOptions(5.0, 1.5, 1.5)
+"""The printed upper bounds of the gains."""
+UPPER_CASE = f"{HEAD_CASE}, the printed upper gains"
+CONTACTS = "drives with a contact"
 
 
-def literal_task() -> ConvoyTask:
-    """The paper's task: eqs. 18 and 19 with the gap itself, one head, from standstill, undisturbed."""
-    speed, gap = ETAS["paper"]
+def literal_task(eta: str = "paper") -> ConvoyTask:
+    """The paper's task: eqs. 18 and 19, one head, from standstill, undisturbed."""
+    speed, gap = ETAS[eta]
     return ConvoyTask(
-        ConvoyTaskConfig(heads=1, eta_speed=speed, eta_gap=gap, rewarded_gap_m=0.0, on_the_way=0.0)
+        ConvoyTaskConfig(heads=1, eta_speed=speed, eta_gap=gap, rewarded_gap_m=REWARDED[eta], on_the_way=0.0)
     )
 
 
 def literal_config(algorithm: str, budget: str) -> AbstractConfig:
     """The study's learner over the episodes of the budget."""
-    steps = CUT[budget] * PERIODS
-    return replace(config(algorithm, "quick"), steps=steps, evaluations=4 if budget == "quick" else 16)
+    return replace(
+        config(algorithm, "quick"),
+        steps=EPISODES[budget] * PERIODS,
+        evaluations=4 if budget == "quick" else 16,
+        environments=ENVIRONMENTS[budget],
+        buffer_size=MEMORY[budget],
+    )
 
 
 def jobs(seeds: Iterable[int], budget: str) -> list[LearnJob]:
-    """Learning runs of the printed settings, algorithms varying slowest."""
+    """Learning runs of the printed settings, and with softer eta; algorithms vary slowest, then eta."""
     seeds = list(seeds)
     return [
         LearnJob(
-            f"as-printed-{budget}-{name}",
+            f"as-printed-{budget}-{name}-{eta}",
             literal_config(algorithm, budget),
-            literal_task,
+            partial(literal_task, eta),
             seed,
             partial(make_evaluation, algorithm, "quick"),
-            {"eta": "paper", "gap": "itself"},
+            {"eta": eta, "rewarded_gap_m": REWARDED[eta]},
         )
         for algorithm, name in NAMES.items()
+        for eta in REWARDED
         for seed in seeds
     ]
 
 
+@final
+class RecordedGains(AbstractFollower):
+    """A learned follower that keeps the gains that it sets, period by period.
+
+    Attributes:
+        inner: The follower.
+        gains: Proportional, integral and derivative gain of every period so far.
+    """
+
+    id = "recorded_gains"
+
+    def __init__(self, inner: AbstractGainFollower) -> None:
+        self.inner = inner
+        self.gains: list[tuple[float, float, float]] = []
+
+    def init(self, vehicle: Vehicle, period_s: float) -> Any:  # noqa: ANN401 (the follower's memory)
+        """Start anew."""
+        self.gains.clear()
+        return self.inner.init(vehicle, period_s)
+
+    def act(self, memory: Any, observation: FollowerObservation) -> tuple[Any, Any]:  # noqa: ANN401
+        """Act as the follower, and keep its gains."""
+        proportional, integral, derivative = self.inner.choose_gains(observation)
+        self.gains.append((float(proportional), float(integral), float(derivative)))
+        return self.inner.act(memory, observation)
+
+
 def measure(order: Order) -> LiteralRun:
     """Learn with the printed settings, and follow the head of the figures without protection."""
-    seeds = order.choose_seeds(quick=SEEDS, paper=SEEDS)[:SEEDS]
-    results = order.learn(jobs(seeds, order.budget))
+    seeds = order.choose_seeds(quick=SEEDS["quick"], paper=SEEDS["paper"])[: SEEDS[order.budget]]
+    groups: dict[tuple[str, str], list[SeedResult]] = {}
+    for result in order.learn(jobs(seeds, order.budget)):
+        key = NAMES[result.job.config.algorithm], str(result.job.about["eta"])
+        groups.setdefault(key, []).append(result)
     rows: list[ReportRow] = []
-    for k, name in enumerate(NAMES.values()):
-        mine = results[k * len(seeds) : (k + 1) * len(seeds)]
-        paths = [str(order.folder / result.job.run_id) for result in mine]
-        followers = [FOLLOWERS.make(name, options=FollowPolicyOptions(path)) for path in paths]
-        drives = [drive_pair(follower, guard="none") for follower in followers]
-        rows += drive_rows(name, drives)
-        contacts = [100.0 * bool(np.any(one.gap_m < 0.0)) for one in drives]
-        rows.append(make_row(FIGURES, HEAD_CASE, name, "drives with a contact", "%", contacts))
-    length = f"{len(seeds)} seed of about {CUT[order.budget]:,} episodes each; the paper has {EPISODES:,}."
-    inert = (
-        f"Eq. 18 with the gap itself gives at most {1.0 / (1.0 + 1000.0 * GAP_M):.4f} of 1 for a gap of "
-        f"{GAP_M:g} m, and hardly more for a little less: only the speed difference is rewarded."
+    gains: dict[tuple[str, str], list[np.ndarray]] = {}
+    for (name, eta), results in groups.items():
+        recorded = [_recorded(name, order, result) for result in results]
+        rows += _rows(name, _case(eta), [drive_pair(each, guard="none") for each in recorded])
+        said = partial(make_row, FIGURES, _case(eta), name)
+        ends = [first_and_last(result) for result in results if np.isfinite(result.history["return"]).any()]
+        if ends:
+            first, last = zip(*ends, strict=True)
+            rows += [said(FIRST_RETURN, "", first), said(LAST_RETURN, "", last)]
+        gains[name, eta] = [np.array(each.gains) for each in recorded]
+    constant = drive_pair(FOLLOWERS.make("follow_pid", options=UPPER), guard="none")
+    rows += _rows("follow_pid", UPPER_CASE, [constant])
+    return LiteralRun(rows, _remarks(rows, len(seeds), order.budget), _figures(groups, gains))
+
+
+def _case(eta: str) -> str:
+    return HEAD_CASE if eta == "paper" else f"{HEAD_CASE}, soft eta"
+
+
+def _recorded(name: str, order: Order, result: SeedResult) -> RecordedGains:
+    made = FOLLOWERS.make(name, options=FollowPolicyOptions(str(order.folder / result.job.run_id)))
+    if not isinstance(made, AbstractGainFollower):
+        raise TypeError(f"{name} sets no gains")
+    return RecordedGains(made)
+
+
+def _rows(name: str, case: str, drives: Sequence[ConvoyDrive]) -> list[ReportRow]:
+    contacts = [100.0 * bool(np.any(one.gap_m < 0.0)) for one in drives]
+    return [*drive_rows(name, drives, case), make_row(FIGURES, case, name, CONTACTS, "%", contacts)]
+
+
+def _remarks(rows: Sequence[ReportRow], seeds: int, budget: str) -> list[str]:
+    """Findings; every number in them is that of a row."""
+    value = {(row.case, row.driver, row.kpi): row for row in rows}
+    length = f"{seeds} seed{'s' * (seeds > 1)} of about {EPISODES[budget]:,} episodes each"
+    if EPISODES[budget] < EPISODES["paper"]:
+        length += f"; the paper has {EPISODES['paper']:,}"
+    found = [
+        f"{length}.",
+        (
+            f"Eq. 18 with the gap itself gives at most {1.0 / (1.0 + 1000.0 * GAP_M):.4f} of 1 for a gap of "
+            f"{GAP_M:g} m, and hardly more for a little less: only the speed difference is rewarded."
+        ),
+    ]
+    for eta in REWARDED:
+        said = []
+        for name in NAMES.values():
+            crashed = [one > 0.0 for one in value[_case(eta), name, CONTACTS].values]
+            largest = value[_case(eta), name, "largest gap"].values
+            smallest = value[_case(eta), name, "smallest gap"].values
+            errors = [
+                max(GAP_M - low, high - GAP_M)
+                for low, high, crash in zip(smallest, largest, crashed, strict=True)
+                if not crash
+            ]
+            kept = f"gap errors of {min(errors):.3f} to {max(errors):.3f} m in the others" if errors else ""
+            said.append(f"`{name}`: contact in {sum(crashed)} of {seeds}" + f", {kept}" * bool(kept))
+        speed, gap = ETAS[eta]
+        found.append(f"With eta of {speed:g} and {gap:g}, policies without protection: {'; '.join(said)}.")
+    upper = f"{HEAD_CASE}, the printed upper gains"
+    low, high = (
+        float(value[upper, "follow_pid", kpi].ours or 0.0) for kpi in ("smallest gap", "largest gap")
     )
-    return LiteralRun(rows, [length, inert])
+    found.append(
+        f"The same PID held at the printed upper gains, without learning: gap error "
+        f"{max(GAP_M - low, high - GAP_M):.3f} m."
+    )
+    return found
+
+
+def _figures(
+    groups: Mapping[tuple[str, str], Sequence[SeedResult]],
+    gains: Mapping[tuple[str, str], Sequence[np.ndarray]],
+) -> list[Figure]:
+    histories = {key: [result.history for result in results] for key, results in groups.items()}
+    return [
+        Figure(
+            "returns_as_printed",
+            "Figs. 3 and 4 over as many episodes as in the paper, one line a seed; left: eta as printed.",
+            lambda: draw_returns(histories, PERIODS),
+        ),
+        Figure(
+            "gains_as_printed",
+            "Gains that the learned policies set over the run, one line a seed; left: eta as printed. Grey: "
+            "the printed bounds.",
+            lambda: draw_gains(gains, pair().dt),
+        ),
+    ]
 
 
 SETTINGS = (
@@ -91,6 +228,7 @@ SETTINGS = (
         "eta 1 and 2 (Table 1)",
         "1000, 1000",
         ", ".join(f"{eta:g}" for eta in ETAS["soft"]),
+        f"as printed; *soft eta* is learned with this study's, which reward {GAP_M:g} m most.",
     ),
     PrintedSetting(
         "sign of the speed difference (eq. 10)",
@@ -119,9 +257,9 @@ SETTINGS = (
     ),
     PrintedSetting(
         "episodes",
-        f"{EPISODES:,}",
+        f"{EPISODES['paper']:,}",
         f"{STEPS['paper']:,} control periods, about {STEPS['paper'] // PERIODS}",
-        f"{CUT['paper']:,} (quick: {CUT['quick']}); the printed number takes about two hours a run.",
+        f"{EPISODES['paper']:,} (quick: {EPISODES['quick']}), {ENVIRONMENTS['paper']} side by side.",
     ),
     PrintedSetting(
         "train, time step, network, rates",

@@ -10,7 +10,7 @@ import numpy as np
 
 from metropilot._schema import declare
 from metropilot._typing import Scalar
-from metropilot.control import Errors
+from metropilot.control import Errors, Gains
 from metropilot.convoy import (
     AbstractFollower,
     FollowerObservation,
@@ -77,13 +77,17 @@ class AbstractGainFollower(AbstractFollower):
         return Errors(zero, zero)
 
     @no_type_check
-    def act(self, memory: Errors, observation: FollowerObservation) -> tuple[Scalar, Errors]:
-        """Set the gains by the policy and evaluate the PID."""
+    def choose_gains(self, observation: FollowerObservation) -> Gains:
+        """Gains that the policy sets."""
         xp = namespace(observation.position_m, observation.gap_m)
         xp = np if xp is scalars else xp
         policy = self.policy
-        action = policy_act(policy.spec, policy.params, chen2023b_state(observation), None, xp)
-        return pid_step(observation, gains_of(action), memory)
+        return gains_of(policy_act(policy.spec, policy.params, chen2023b_state(observation), None, xp))
+
+    @no_type_check
+    def act(self, memory: Errors, observation: FollowerObservation) -> tuple[Scalar, Errors]:
+        """Set the gains by the policy and evaluate the PID."""
+        return pid_step(observation, self.choose_gains(observation), memory)
 
 
 @final

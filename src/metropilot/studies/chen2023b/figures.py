@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from metropilot.convoy import ConvoyDrive
+from metropilot.convoy import ConvoyDrive, gains_of
 from metropilot.evaluate import BLACK, GREY, SERIES_STYLES
-from metropilot.studies.chen2023b.learning import NAMES
+from metropilot.studies.chen2023b.learning import ETAS, NAMES
 from metropilot.studies.chen2023b.setting import PUBLISHED
 from metropilot.studies.report import Figure
 
@@ -36,6 +36,60 @@ def draw_learning(histories: Histories, columns: Mapping[str, str], label: str) 
         panel.set_title(name, loc="left", fontsize=9)
         panel.set_ylabel(label)
     axes[-1].set_xlabel("environment steps")
+    return figure
+
+
+def _grid(keys: Iterable[tuple[str, str]], rows: int, height: float) -> tuple[Drawing, Any, list[str]]:
+    """Panels with one column per choice of eta, and these choices."""
+    from matplotlib import pyplot as plt
+
+    etas = list(dict.fromkeys(eta for _, eta in keys))
+    figure, axes = plt.subplots(
+        rows, len(etas), figsize=(8, height), layout="constrained", sharex=True, squeeze=False
+    )
+    for panel, eta in zip(axes[0], etas, strict=True):
+        panel.set_title(", ".join(f"eta {number:g}" for number in dict.fromkeys(ETAS[eta])), fontsize=9)
+    return figure, axes, etas
+
+
+def draw_returns(
+    histories: Mapping[tuple[str, str], Sequence[Mapping[str, np.ndarray]]], periods: int
+) -> Drawing:
+    """Draw the return over episodes of so many periods; histories by follower and eta, one line a seed."""
+    names = list(dict.fromkeys(name for name, _ in histories))
+    figure, axes, etas = _grid(histories, len(names), 5.0)
+    for (name, eta), runs in histories.items():
+        panel = axes[names.index(name), etas.index(eta)]
+        for run in runs:
+            colour = SERIES_STYLES[names.index(name)][0]
+            panel.plot(run["steps"] / periods, run["return"], color=colour, linewidth=0.7)
+    for name, row in zip(names, axes, strict=True):
+        row[0].set_ylabel(f"{name}: return")
+    for panel in axes[-1]:
+        panel.set_xlabel("episodes")
+    return figure
+
+
+def draw_gains(gains: Mapping[tuple[str, str], Sequence[np.ndarray]], period_s: float) -> Drawing:
+    """Draw the three gains over the run; arrays of shape (T, 3) by follower and eta, one line a seed."""
+    names = list(dict.fromkeys(name for name, _ in gains))
+    low, high = gains_of(-np.ones(3)), gains_of(np.ones(3))
+    figure, axes, etas = _grid(gains, len(high), 6.0)
+    for (name, eta), runs in gains.items():
+        colour, dashes = SERIES_STYLES[names.index(name)]
+        for k, panel in enumerate(axes[:, etas.index(eta)]):
+            for number, run in enumerate(runs):
+                label = name if number == 0 else None
+                time_s = period_s * np.arange(len(run))
+                panel.plot(time_s, run[:, k], color=colour, linestyle=dashes, linewidth=0.7, label=label)
+    for name, row, bounds in zip(high._fields, axes, zip(low, high, strict=True), strict=True):
+        row[0].set_ylabel(f"{name} gain")
+        for panel in row:
+            for bound in bounds:
+                panel.axhline(bound, color=GREY, linewidth=0.8)
+    axes[0, -1].legend()
+    for panel in axes[-1]:
+        panel.set_xlabel("time (s)")
     return figure
 
 

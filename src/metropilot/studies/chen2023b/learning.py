@@ -6,8 +6,10 @@ from collections.abc import Callable
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from metropilot.convoy import ConvoyTask, ConvoyTaskConfig
-from metropilot.studies.learning import LearnJob
+from metropilot.studies.learning import LearnJob, SeedResult
 
 if TYPE_CHECKING:
     from metropilot.env import AbstractTask
@@ -17,6 +19,8 @@ NAMES = {"sac": "sac_pid", "ddpg": "ddpg_pid_follow"}
 ETAS = {"soft": (100.0, 200.0), "paper": (1000.0, 1000.0)}
 """eta_1 and eta_2: with the paper's 1000 the reward is almost zero beyond a few millimetres."""
 STEPS = {"quick": 32_000, "paper": 96_000}
+FIRST_RETURN = "return of an episode, first quarter of learning"
+LAST_RETURN = "return of an episode, last quarter of learning"
 
 
 def config(algorithm: str, budget: str) -> AbstractConfig:
@@ -59,6 +63,14 @@ def jobs(algorithm: str, budget: str, eta: str, seeds: range) -> list[LearnJob]:
         )
         for seed in seeds
     ]
+
+
+def first_and_last(run: SeedResult) -> tuple[float, float]:
+    """Mean return of the episodes that ended in the first and in the last quarter of learning."""
+    found = run.history["return"]
+    found = found[np.isfinite(found)]
+    quarter = max(found.size // 4, 1)
+    return float(found[:quarter].mean()), float(found[-quarter:].mean())
 
 
 def make_evaluation(algorithm: str, budget: str, made: AbstractTask) -> Callable[[Any, Any], dict[str, Any]]:

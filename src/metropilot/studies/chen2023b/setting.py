@@ -68,9 +68,9 @@ def drive_pair(follower: AbstractFollower, guard: ConvoyGuard = "coupled") -> Co
     return drive_convoy(pair(guard=guard), head_run(), follower)
 
 
-def drive_rows(name: str, drives: Sequence[ConvoyDrive]) -> list[ReportRow]:
+def drive_rows(name: str, drives: Sequence[ConvoyDrive], case: str = HEAD_CASE) -> list[ReportRow]:
     """Rows of figures 8 and 9."""
-    row = partial(make_row, FIGURES, HEAD_CASE, name)
+    row = partial(make_row, FIGURES, case, name)
     said = PUBLISHED if name == "sac_pid" else {}
     apart = [np.abs(drive.speed_difference_mps).max() for drive in drives]
     overruled = [float(sum(drive.interventions)) for drive in drives]
