@@ -7,11 +7,23 @@ import pytest
 
 from metropilot.convoy import FOLLOWERS, Convoy, ConvoyRequest, Link, convoy_kpis, drive_convoy, string_gains
 from metropilot.convoy.drivers.follow_gap import FollowGap, FollowGapOptions
-from metropilot.convoy.model import convoy_members
+from metropilot.convoy.drivers.own_place import most_in_gap
+from metropilot.convoy.model import convoy_members, open_channel
+from metropilot.convoy.own_plant import look_ahead, own_plant
 from metropilot.convoy.place import place_behind
 from metropilot.convoy.plan import MotionPlan, plan_at, plan_times
-from metropilot.convoy.step import HALF, SPARE_M, ahead_of, at_departure, most_share, update_needed_gap
+from metropilot.convoy.step import (
+    HALF,
+    SPARE_M,
+    ahead_of,
+    at_departure,
+    make_message,
+    most_share,
+    observe_member,
+    update_needed_gap,
+)
 from metropilot.evaluate import RunSpec
+from metropilot.physics import vehicle_arrays
 from metropilot.protection import spare_gap
 from metropilot.railway import load_line, load_trainset
 from metropilot.sim import Disturbance, TimetableUpdate
@@ -116,15 +128,15 @@ def test_the_largest_command_passes_protection_and_is_exact_at_half_traction():
     state = at_departure(own, head, DT, position_m=600.0, speed_mps=10.0)._replace(command=np.float64(0.6))
     now_s = np.float64(0.0)
     state = update_needed_gap(own, state, now_s, np.float64(DT))
-    plant, ahead = state.plant, ahead_of(own, state, now_s)
-    for gap_m in np.linspace(state.coasting_gap_m, state.pulling_gap_m, 15):
+    plant, ahead, needs = state.plant, ahead_of(own, state, now_s), state.needs
+    for gap_m in np.linspace(needs.coasting_m, needs.pulling_m, 15):
         at = ahead._replace(rear_m=plant.position_m + gap_m)
-        share = most_share(state, gap_m)
+        share = most_share(needs, gap_m)
         spare = spare_gap(own.protection, state.watched, plant.position_m, state.measured_mps, share, at)
         assert spare >= SPARE_M - 1e-9
-    assert most_share(state, state.half_gap_m) == pytest.approx(HALF)
-    chord_m = state.coasting_gap_m + HALF * (state.pulling_gap_m - state.coasting_gap_m)
-    assert chord_m > state.half_gap_m + 0.5
+    assert most_share(needs, needs.half_m) == pytest.approx(HALF)
+    chord_m = needs.coasting_m + HALF * (needs.pulling_m - needs.coasting_m)
+    assert chord_m > needs.half_m + 0.5
 
 
 @pytest.mark.parametrize(
@@ -271,3 +283,67 @@ def test_a_constant_gap_behind_late_messages_needs_the_plan():
     apart = FollowGap(FollowGapOptions(time_gap_s=0.8))
     spaced = string_gains(convoy, apart, (6.0,), planned=False)
     assert min(alone.largest) > 1.0 >= max(spaced.largest)
+
+
+SLOW = replace(
+    load_trainset("dkz32"), actuation=replace(load_trainset("dkz32").actuation, delay_s=0.6, lag_s=0.4)
+)
+
+
+@pytest.mark.parametrize(
+    ("follower", "stops", "link"),
+    [
+        ("follow_plan", ("RJ", "WYJ"), Link(0.1)),
+        ("follow_plan", ("YZQ", "WHY"), Link(0.3, 0.0, 0.1)),
+        ("follow_gap", ("RJ", "WYJ"), Link(0.1)),
+        ("follow_mpc", ("RJ", "WYJ"), Link(0.1)),
+    ],
+)
+def test_a_dead_time_and_a_lag_of_a_second_are_answered(follower, stops, link):
+    """Followers jerked at their stops and hunted at the limit of their gap: protection had to step in."""
+    asked = request(stops=stops, time_s=115.0, count=3, link=link, follower=follower)
+    asked = replace(asked, disturbances=masses(0.9, 1.2, 0.8))
+    convoy = replace(asked.convoy(), trainsets=(SLOW,) * 3)
+    drive = drive_convoy(convoy, asked.driven_head(convoy), asked.make_follower())
+    kpis = convoy_kpis(drive, 115.0)
+    assert kpis.success, kpis.verdict
+    assert drive.interventions == (0,) * 3
+
+
+def observed(trainset, *, speed_mps, pending, gap_m, ahead_mps):
+    """What a follower of two sees at a speed, with a command on its way for some time."""
+    convoy = Convoy(YIZHUANG.section("RJ", "WYJ"), (trainset,) * 2, dt=DT)
+    head, own = convoy_members(convoy)
+    state = at_departure(own, head, DT, position_m=600.0, speed_mps=speed_mps)
+    recent = np.full_like(state.watched.recent, pending)
+    state = state._replace(watched=state.watched._replace(recent=recent), command=np.float64(pending))
+    message = make_message(head, at_departure(head, None, DT, 600.0 + gap_m + head.length_m, ahead_mps), 0.0)
+    state = state._replace(channel=open_channel(message))
+    state = update_needed_gap(own, state, np.float64(0.0), np.float64(DT))
+    return observe_member(own, state, np.float64(0.0), np.float64(DT), np.float64(20.0))
+
+
+def test_a_command_no_larger_than_what_is_on_its_way_needs_no_more():
+    """Half of what was on its way was allowed in the next period, at the gap that it had been passed for."""
+    seen = observed(SLOW, speed_mps=12.0, pending=0.4, gap_m=20.0, ahead_mps=12.0)
+    needs = seen.needs
+    assert needs.on_its_way == pytest.approx(0.4)
+    assert most_share(needs, needs.coasting_m) == pytest.approx(0.4)
+    assert most_share(needs, needs.half_m) == pytest.approx(HALF)
+    assert most_share(needs, needs.coasting_m - 1.0) < 0.0
+    prompt = observed(load_trainset("dkz32"), speed_mps=12.0, pending=0.4, gap_m=20.0, ahead_mps=12.0)
+    assert prompt.needs.on_its_way == 0.0
+
+
+@pytest.mark.parametrize("gap_m", [4.0, 12.0, 20.0, 30.0])
+def test_an_acceleration_ends_before_the_gap_that_it_will_need(gap_m):
+    seen = observed(SLOW, speed_mps=12.0, pending=0.2, gap_m=gap_m, ahead_mps=12.0)
+    ahead = look_ahead(own_plant(vehicle_arrays(SLOW), DT)._replace(speed_mps=np.float64(12.0)), seen)
+    most = float(most_in_gap(seen, ahead))
+    assert (most < 0.0) == (seen.gap_m < seen.needs.coasting_m)
+    slower = float(most_in_gap(seen._replace(ahead_mps=np.float64(11.0)), ahead))
+    braked = float(most_in_gap(seen._replace(ahead_mps2=np.float64(-0.5)), ahead))
+    assert slower < most
+    assert braked < most
+    prompt = seen._replace(vehicle=seen.vehicle._replace(delay_s=np.float64(0.0), lag_s=np.float64(0.0)))
+    assert float(most_in_gap(prompt, ahead)) > 100.0

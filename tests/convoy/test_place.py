@@ -9,8 +9,8 @@ from metropilot.convoy import Convoy, ConvoyRequest, Link, convoy_kpis, drive_co
 from metropilot.convoy.manoeuvre import plan_followers
 from metropilot.convoy.model import convoy_members, growing_m
 from metropilot.convoy.needed import NeededGap
-from metropilot.convoy.place import delay_motion
-from metropilot.convoy.plan import MotionPlan, plan_at, plan_times, splice
+from metropilot.convoy.place import delay_motion, make_drivable
+from metropilot.convoy.plan import MotionPlan, PlannedMotion, plan_at, plan_times, splice
 from metropilot.evaluate import RunSpec
 from metropilot.railway import load_line, load_trainset
 
@@ -111,5 +111,30 @@ def test_the_head_arrives_earlier_where_the_last_would_be_late():
     errors_s = [member.time_error_s for member in kpis.trainsets]
     assert kpis.success
     assert errors_s == sorted(errors_s)
-    assert -2.7 < errors_s[0] < -2.0
+    assert -3.0 < errors_s[0] < -2.2
     assert errors_s[-1] > 2.0
+
+
+def test_waiting_for_a_trainset_that_stops_brings_no_gap():
+    """A delay was sought for a place that cannot be passed at that speed: 8 s more for each of eight."""
+    slow = load_trainset("dkz32")
+    slow = replace(slow, actuation=replace(slow.actuation, delay_s=0.6, lag_s=0.4))
+    line = Convoy(SECTION, (slow,) * 8, dt=DT, link=Link(0.3, 0.0, 0.1))
+    head = motion((0.8, 15.0), (0.0, 40.0), (-0.05, 60.0), (-0.65, 14.0))
+    plans = plan_followers(convoy_members(line), head, line.gap_m)
+    stands = [plan_times(plan)[np.flatnonzero(plan.speed_mps > 0.05)[-1]] for plan in plans]
+    assert max(np.diff(stands)) < 3.0
+
+
+def test_a_lag_shapes_a_planned_motion_without_larger_commands():
+    slow = load_trainset("dkz32")
+    slow = replace(slow, actuation=replace(slow.actuation, lag_s=0.4))
+    member = convoy_members(Convoy(SECTION, (slow,) * 2, dt=DT))[1]
+    wanted = motion((0.7, 15.0), (0.0, 30.0), (-0.6, 17.5))
+    own = make_drivable(member, wanted, 0, PlannedMotion(0.0, 0.0, 0.0))
+    rates = np.diff(own.speed_mps) / DT
+    kept = np.exp(-DT / 0.4)
+    # What has to be commanded for it, all of the lag compensated.
+    commanded = (rates[1:] - kept * rates[:-1]) / (1.0 - kept)
+    assert commanded[: round(30.0 / DT)].max() < 1.0
+    assert abs(np.diff(rates[: round(55.0 / DT)])).max() / DT <= 1.0

@@ -16,7 +16,7 @@ import numpy as np
 from numpy import ndarray
 
 from metropilot._typing import Float, Scalar
-from metropilot.physics import Track, Vehicle, command_for_effort, namespace, scalars
+from metropilot.physics import Track, Vehicle, command_for_effort, kept_share, namespace, scalars
 
 ALMOST = 1e-5
 """A dead time this much below a whole number of periods counts as whole."""
@@ -176,7 +176,7 @@ def actuation_of(model: Model) -> CommandActuation:
     """Actuation of a nominal trainset with an empty pipeline."""
     dt, lag = model.dt, float(model.vehicle.lag_s)
     steps = round(float(model.vehicle.delay_s) / dt, 6)
-    keep = math.exp(-dt / lag) if lag > 0 else 0.0
+    keep = float(kept_share(lag, dt))
     return CommandActuation((0.0,) * (math.ceil(steps) + 1), 0.0, steps, keep, lag, dt)
 
 

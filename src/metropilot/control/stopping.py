@@ -90,7 +90,7 @@ class StopOptions:
     """
 
     build_share: float = 1.0
-    release_share: float = 0.5
+    release_share: Scalar = 0.5
     end_share: float = 0.25
     drop_share: float = 0.6
     return_gain: float = 0.5
@@ -101,7 +101,7 @@ class StopOptions:
     creep_mps: float = 0.06
     creep_m: float = 0.0
     past_m: float = 0.1
-    soft_m: float = 0.0
+    soft_m: Scalar = 0.0
     draw_up_mps2: float = 0.3
     draw_up_share: float = 0.3
     lag_ramp: bool = True

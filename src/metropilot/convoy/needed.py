@@ -8,7 +8,7 @@ from numpy import ndarray
 from metropilot._typing import Float
 from metropilot.convoy.model import FAR_M, Member, growing_m
 from metropilot.convoy.plan import MotionPlan, PlannedMotion, plan_at, plan_times
-from metropilot.physics import effort_limits
+from metropilot.physics import effort_limits, kept_share
 from metropilot.protection import Protection, TrainAhead, at_start, spare_gap
 
 MARGIN_M = 0.4
@@ -24,6 +24,8 @@ KINK_S = 0.4
 """Time over which a planned acceleration is averaged: where a plan continues another one it has kinks."""
 DELAY_TRIALS, LONGEST_DELAY_S, SAME_S = 5, 8.0, 0.02
 """Steps to the delay that protection needs at a place; the longest; a step that is no longer worth one."""
+WORTH = 0.7
+"""Share of a lack of gap that a longer delay must bring it to."""
 
 
 def silence_s(member: Member, dt: float) -> float:
@@ -105,7 +107,9 @@ def planned_share(
 ) -> Float[ndarray, " rows"]:
     """Command that a planned motion may take at its rows, on a trainset that answers weakly (NumPy)."""
     limits = effort_limits(member.believed, member.track, own.position_m, own.speed_mps)
-    share = limits.command_for(rise_mps2)
+    kept = kept_share(member.believed.lag_s, own.period_s)
+    before = np.concatenate([rise_mps2[:1], rise_mps2[:-1]])
+    share = limits.command_for((rise_mps2 - kept * before) / (1.0 - kept))
     return np.where(share > 0.0, np.minimum(SHARE_FACTOR * share + SHARE_SPARE, 1.0), share)
 
 
@@ -120,8 +124,14 @@ def delay_along(need: NeededGap, row: int) -> Float[ndarray, " rows"]:
     rows = range(row, times.size, max(round(NEED_STEP_S / need.dt), 1))
     found, delay = [], 0.0
     for k in rows:
+        lack_m = np.inf
         for _ in range(DELAY_TRIALS):
             needed, gap, then = need.gaps_m(k, float(times[k]) + delay)
+            if then.acceleration_mps2 < 0.0 and needed - gap > WORTH * lack_m:
+                # The trainset ahead stops meanwhile: waiting brings no gap.
+                delay = before
+                break
+            lack_m = max(needed - gap, 0.0)
             # A trainset ahead that has become faster meanwhile needs less gap behind it, too.
             per_s = then.speed_mps * (1.0 + max(then.acceleration_mps2, 0.0) / held)
             before, delay = delay, min(max(delay + (needed - gap) / max(per_s, 1.0), 0.0), LONGEST_DELAY_S)

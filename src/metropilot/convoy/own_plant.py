@@ -18,7 +18,7 @@ from metropilot.control import (
     weighs_load,
 )
 from metropilot.convoy.step import FollowerObservation
-from metropilot.physics import Vehicle, effort_limits, namespace, push_command, scalars
+from metropilot.physics import Vehicle, effort_limits, kept_share, namespace, push_command, scalars
 
 SURE_MPS2 = 0.02
 """Least distance of a deceleration from the controlled rate at which it says something about the brake."""
@@ -37,6 +37,10 @@ DRIFT_VARIANCE = np.diag([1e-6, 1e-6, 1e-6])
 """Variance added to the gains in each period, so that they can follow slow changes."""
 LEAST_GAINS, LARGEST_GAINS = np.array([0.6, 0.6, 0.0]), np.array([1.6, 1.6, 3.0])
 """Bounds on traction gain, brake gain and resistance factor."""
+
+
+BANDWIDTH_PER_JERK, BANDWIDTH_LAG = 0.8, 0.3
+"""Bandwidth with which a place can be held: over the jerk limit in m/s^3, and its product with the lag."""
 
 
 class OwnPlant(NamedTuple):
@@ -125,7 +129,7 @@ def learn(plant: OwnPlant, observation: FollowerObservation) -> OwnPlant:
     join = np if xp is scalars else xp
     commands = push_command(plant.commands, observation.command)
     acting = acting_command(commands, xp.maximum(vehicle.delay_s / dt - 1e-6, 0.0))
-    share = acting + (plant.share - acting) * kept_share(observation)
+    share = acting + (plant.share - acting) * kept_share(vehicle.lag_s, dt)
     limits = effort_limits(vehicle, observation.track, plant.position_m, plant.speed_mps)
     features = join.stack(
         [
@@ -158,11 +162,10 @@ def learn(plant: OwnPlant, observation: FollowerObservation) -> OwnPlant:
 
 
 @no_type_check
-def kept_share(observation: FollowerObservation) -> Scalar:
-    """Share of the old effort that remains after a period of lag."""
-    lag_s = observation.vehicle.lag_s
-    xp = namespace(observation.position_m, lag_s)
-    return xp.where(lag_s > 0.0, xp.exp(-observation.period_s / xp.maximum(lag_s, 1e-6)), 0.0)
+def most_bandwidth(vehicle: Vehicle) -> Scalar:
+    """Largest bandwidth with which a trainset can hold a place, 1/s; a faster correction would swing."""
+    xp = namespace(vehicle.jerk_mps3, vehicle.lag_s)
+    return xp.minimum(BANDWIDTH_PER_JERK * vehicle.jerk_mps3, BANDWIDTH_LAG / xp.maximum(vehicle.lag_s, 1e-6))
 
 
 @no_type_check
@@ -172,7 +175,7 @@ def look_ahead(plant: OwnPlant, observation: FollowerObservation) -> PredictedSt
     up, down, drag = plant.gains
     xp = namespace(observation.position_m, vehicle.delay_s)
     # A dead time of whole periods stays whole: 0.14 / 0.02 is a little more than 7.
-    steps, keep = xp.maximum(vehicle.delay_s / dt - 1e-6, 0.0), kept_share(observation)
+    steps, keep = xp.maximum(vehicle.delay_s / dt - 1e-6, 0.0), kept_share(vehicle.lag_s, dt)
     motion = Motion(plant.position_m, plant.speed_mps, plant.acceleration_mps2, plant.share)
     limits = effort_limits(vehicle, track, motion.position_m, motion.speed_mps)
     if plant.commands.shape[0] > 1:

@@ -15,8 +15,9 @@ from numpy import ndarray
 from metropilot._typing import Float
 from metropilot.convoy.model import Member
 from metropilot.convoy.needed import NeededGap, delay_along
+from metropilot.convoy.own_plant import most_bandwidth
 from metropilot.convoy.plan import STANDING_MPS, MotionPlan, PlannedMotion, plan_times, stand_on
-from metropilot.physics import effort_limits
+from metropilot.physics import effort_limits, kept_share
 from metropilot.protection import permitted_speed
 
 SLOPE_MPS, FASTEST_SLOPE_MPS, SLOPE_PER_S = 0.5, 3.0, 0.05
@@ -46,6 +47,8 @@ CLOSED_MPS = 3.0
 TRACKING_PER_S, CATCH_UP_MPS2, CATCH_UP_PER_S2 = 0.8, 0.2, 0.012
 """Bandwidth with which a planned motion comes back to the wanted one, the most that it accelerates for it,
 and for each metre that it is behind: a large command takes a large gap."""
+FALL_BACK_MPS2 = 0.15
+"""The most that it decelerates for it: the trainsets behind would have to decelerate more."""
 CLOSING_S = 20.0
 """Time for closing a gap after the trainset ahead stands."""
 CREEP_MPS, CREEP_M = 0.05, 0.2
@@ -246,8 +249,13 @@ def make_drivable(member: Member, wanted: MotionPlan, first: int, now: PlannedMo
     lowest = np.lib.stride_tricks.sliding_window_view(
         np.pad(permitted, (rows_before, rows), "edge"), rows_before + rows + 1
     ).min(axis=1)
-    cap, jerk, w = lowest.tolist(), RATE_USE * float(vehicle.jerk_mps3) * dt, TRACKING_PER_S
+    cap, jerk, w = (
+        lowest.tolist(),
+        RATE_USE * float(vehicle.jerk_mps3) * dt,
+        min(TRACKING_PER_S, float(most_bandwidth(vehicle))),
+    )
     takes = (speed_mps / float(member.bounds.held_mps2) + 1.0).tolist()
+    answers = 1.0 - kept_share(float(vehicle.lag_s), dt)
     stands, closes = np.flatnonzero(speed_mps > CREEP_MPS).max(initial=0), manoeuvres(member)
     x, v, a = now
     positions, speeds = [x], [v]
@@ -257,9 +265,11 @@ def make_drivable(member: Member, wanted: MotionPlan, first: int, now: PlannedMo
         most_faster = SLOPE_MPS if closes else BRAKING_USE * max(behind, 0.0) / takes[k]
         faster = min(max(0.5 * w * behind, -SLOPE_MPS), most_faster)
         most_up = CATCH_UP_MPS2 + CATCH_UP_PER_S2 * max(wanted_m[k] - x, 0.0)
-        catching_up = min(2.0 * w * (wanted_mps[k] + faster - v), most_up)
+        catching_up = max(min(2.0 * w * (wanted_mps[k] + faster - v), most_up), -FALL_BACK_MPS2)
         free = min(rise + catching_up, (cap[k + 1] - v) / late_s)
-        a = min(max(free, least[k], a - jerk), most[k], a + jerk)
+        # A motion that a lag shapes takes no larger commands for it, which protection would count.
+        lagged = a + answers * (min(max(free, least[k]), most[k]) - a)
+        a = min(max(lagged, a - jerk), a + jerk)
         after = max(v + a * dt, 0.0)
         if k > stands and after < CREEP_MPS and behind < CREEP_M:
             after = 0.0

@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import Any, NamedTuple, no_type_check
 
 from metropilot._typing import Array
-from metropilot.convoy.model import FAR_M, Channel, Member, Message, growing_m, open_channel, transmit
+from metropilot.convoy.model import FAR_M, Channel, Member, Message, open_channel, transmit
 from metropilot.convoy.plan import MotionPlan, plan_at
-from metropilot.physics import Command, State, at_rest, delay_steps, effort_limits, namespace
+from metropilot.physics import Command, State, at_rest, delay_steps, namespace
 from metropilot.protection import Memory as Watched
 from metropilot.protection import TrainAhead, at_start, spare_gap
 from metropilot.sim import NEVER_ENDS, PeriodRecord, RunParams, control_period, first_state
@@ -28,6 +28,23 @@ FADING_MPS, LONG_M, FADING_S = 0.1, 10.0, 2.0
 """Decay of the needed gap: a constant rate, and a time constant for what exceeds a long gap."""
 
 
+class NeededGaps(NamedTuple):
+    """Gaps that protection needs now to pass commands, by the trainset ahead. All 0-d.
+
+    Attributes:
+        on_its_way: Largest command that may still be on its way, in [0, 1]; one that is no larger needs as
+            much as 0 does.
+        coasting_m: Gap for a command of 0.
+        half_m: Gap for a command of ``HALF``.
+        pulling_m: Gap for a command of 1.
+    """
+
+    on_its_way: Array
+    coasting_m: Array
+    half_m: Array
+    pulling_m: Array
+
+
 class MemberState(NamedTuple):
     """State of one trainset of a convoy.
 
@@ -40,9 +57,7 @@ class MemberState(NamedTuple):
         command: Last command after protection.
         emergency: True if the emergency brake was demanded last.
         needed_gap_m: Gap that protection needs behind the trainset ahead: recent maximum, decaying.
-        coasting_gap_m: Gap that it needs now to pass a command of 0.
-        pulling_gap_m: The same for a command of 1.
-        half_gap_m: The same for a command of ``HALF``.
+        needs: Gaps that it needs now to pass commands.
     """
 
     plant: State
@@ -53,9 +68,7 @@ class MemberState(NamedTuple):
     command: Array
     emergency: Array
     needed_gap_m: Array
-    coasting_gap_m: Array
-    pulling_gap_m: Array
-    half_gap_m: Array
+    needs: NeededGaps
 
 
 class FollowerObservation(NamedTuple):
@@ -71,8 +84,8 @@ class FollowerObservation(NamedTuple):
         track: The section.
         gap_m: Extrapolated gap to the trainset ahead.
         wanted_gap_m: Desired gap, or the gap that protection has needed lately if that is larger.
-        most_share: Largest command that protection passes behind the trainset ahead, with a margin; at least
-            -1.
+        needs: Gaps that protection needs now to pass commands, with a margin.
+        held_mps2: Deceleration that it counts on: the gap needed grows by the own speed over it for each m/s.
         ahead_mps: Extrapolated speed of the trainset ahead.
         ahead_mps2: Its acceleration in the last message.
         age_s: Age of the last message.
@@ -97,7 +110,8 @@ class FollowerObservation(NamedTuple):
     track: Any
     gap_m: Array
     wanted_gap_m: Array
-    most_share: Array
+    needs: NeededGaps
+    held_mps2: Array
     ahead_mps: Array
     ahead_mps2: Array
     age_s: Array
@@ -180,9 +194,7 @@ def at_departure(
         zero,
         member.is_head & False,
         zero,
-        zero,
-        zero,
-        zero,
+        NeededGaps(zero, zero, zero, zero),
     )
 
 
@@ -243,6 +255,8 @@ def update_needed_gap(member: Member, state: MemberState, now_s: Array, period_s
         )
         return xp.clip(rear - plant.position_m - spare + SPARE_M, 0.0, FAR_M)
 
+    recent = state.watched.recent
+    on_its_way = zero if recent.shape[0] == 1 else xp.clip(recent[:-1].max(), 0.0, 1.0)
     # The gap needed grows with a command, and more and more: between two it is no more than their mean.
     coasting_m, pulling_m, half_m = (gap_needed_for(zero + part) for part in (0.0, 1.0, HALF))
     share = xp.clip(state.command + SPARE_SHARE, 0.0, 1.0)
@@ -252,25 +266,24 @@ def update_needed_gap(member: Member, state: MemberState, now_s: Array, period_s
     faded_m = state.needed_gap_m - rate * period_s
     return state._replace(
         needed_gap_m=xp.maximum(now_m, faded_m),
-        coasting_gap_m=coasting_m,
-        pulling_gap_m=pulling_m,
-        half_gap_m=half_m,
+        needs=NeededGaps(on_its_way, coasting_m, half_m, pulling_m),
     )
 
 
 @no_type_check
-def most_share(state: MemberState, gap_m: Array) -> Array:
-    """Largest command that protection passes at a gap, by the gaps that three commands need.
+def most_share(needs: NeededGaps, gap_m: Array) -> Array:
+    """Largest command that protection passes at a gap, by the gaps that a few commands need.
 
     The chord from 0 to 1 alone lies up to metres above what a command between them needs.
     """
-    xp = namespace(gap_m, state.command)
-    coasting_m, half_m = state.coasting_gap_m, state.half_gap_m
-    below = HALF * (gap_m - coasting_m) / xp.maximum(half_m - coasting_m, 1e-3)
-    above = HALF + (1.0 - HALF) * (gap_m - half_m) / xp.maximum(state.pulling_gap_m - half_m, 1e-3)
+    xp = namespace(gap_m, needs.coasting_m)
+    first, coasting_m, half_m = needs.on_its_way, needs.coasting_m, needs.half_m
+    middle = xp.maximum(HALF, first)
+    below = first + (middle - first) * (gap_m - coasting_m) / xp.maximum(half_m - coasting_m, 1e-3)
+    above = middle + (1.0 - middle) * (gap_m - half_m) / xp.maximum(needs.pulling_m - half_m, 1e-3)
     passed = xp.where(gap_m < half_m, below, above)
     passed = xp.where(gap_m < coasting_m, (gap_m - coasting_m) / EASE_M, passed)
-    return xp.where(state.pulling_gap_m <= 0.0, 1.0, xp.clip(passed, -1.0, 1.0))
+    return xp.where(needs.pulling_m <= 0.0, 1.0, xp.clip(passed, -1.0, 1.0))
 
 
 @no_type_check
@@ -320,11 +333,6 @@ def observe_member(
     now = extrapolate(message, now_s)
     rear = now.rear_m
     apart = plant.position_m >= member.uncouple_at_m
-    v, a = state.measured_mps, plant.acceleration_mps2
-    # A command on its way will act, whatever is measured now.
-    limits = effort_limits(member.believed, member.track, plant.position_m, v)
-    coming = state.command * limits.traction_mps2 - limits.drag_mps2
-    growing = growing_m(member, v, xp.maximum(a, coming), v - now.speed_mps, now.acceleration_mps2)
     zero = 0.0 * rear
     off = (zero, zero, zero)
     if plans is not None:
@@ -345,7 +353,8 @@ def observe_member(
         track=member.track,
         gap_m=rear - plant.position_m,
         wanted_gap_m=xp.maximum(xp.where(apart, member.apart_m, member.gap_m), state.needed_gap_m),
-        most_share=most_share(state, rear - plant.position_m - growing),
+        needs=state.needs,
+        held_mps2=member.bounds.held_mps2,
         ahead_mps=now.speed_mps,
         ahead_mps2=now.acceleration_mps2,
         age_s=now_s - message.stamp_s,

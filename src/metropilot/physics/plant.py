@@ -127,6 +127,13 @@ def push_command(pipeline: Float[Array, "slots *rows"], newest: Scalar) -> Float
     return xp.concatenate([first, pipeline[:-1]]) if pipeline.shape[0] > 1 else first
 
 
+@no_type_check
+def kept_share(lag_s: Scalar, dt: Scalar) -> Scalar:
+    """Share of the old effort that remains after a period of a lag; 0 without a lag."""
+    xp = namespace(lag_s, dt)
+    return xp.where(lag_s > 0, xp.exp(-dt / xp.maximum(lag_s, 1e-6)), 0.0)
+
+
 def actuate(
     vehicle: Vehicle, state: State, command: Command, dt: Scalar
 ) -> tuple[Float[Array, "slots *rows"], Scalar]:
@@ -135,8 +142,7 @@ def actuate(
     share = xp.clip(command.share, -1.0, 1.0)
     pipeline = push_command(state.pipeline, share)
     target = blend_delay(pipeline, vehicle.delay_s, dt)
-    keep = xp.where(vehicle.lag_s > 0, xp.exp(-dt / xp.maximum(vehicle.lag_s, 1e-6)), 0.0)
-    return pipeline, target + (state.share - target) * keep
+    return pipeline, target + (state.share - target) * kept_share(vehicle.lag_s, dt)
 
 
 def wheel_force(

@@ -10,8 +10,10 @@ from metropilot._typing import Scalar
 from metropilot.control import PredictedState
 from metropilot.convoy.drivers.base import Memory, closing_mps
 from metropilot.convoy.drivers.own_place import AbstractPlaceFollower, PlaceMemory
+from metropilot.convoy.own_plant import most_bandwidth
 from metropilot.convoy.plan import PlannedMotion
 from metropilot.convoy.step import FollowerObservation
+from metropilot.physics import namespace
 
 
 @dataclass(frozen=True)
@@ -19,7 +21,7 @@ class FollowPlanOptions:
     """Options of :class:`FollowPlan`.
 
     Attributes:
-        bandwidth_per_s: Bandwidth of the correction of place and speed.
+        bandwidth_per_s: Bandwidth of the correction of place and speed, as far as the trainset admits it.
         damping: Its damping ratio.
     """
 
@@ -48,9 +50,9 @@ class FollowPlan(AbstractPlaceFollower):
         ahead: PredictedState,
     ) -> tuple[Scalar, Memory]:
         """Evaluate the law."""
-        del observation
-        options = self.options
-        gain = 2.0 * options.damping * options.bandwidth_per_s
-        rate = options.bandwidth_per_s / (2.0 * options.damping)
+        options, most = self.options, most_bandwidth(observation.vehicle)
+        bandwidth = namespace(most).minimum(options.bandwidth_per_s, most)
+        gain = 2.0 * options.damping * bandwidth
+        rate = bandwidth / (2.0 * options.damping)
         faster = closing_mps(rate, place.position_m - ahead.position_m)
         return place.acceleration_mps2 + gain * (place.speed_mps + faster - ahead.speed_mps), memory.law

@@ -36,7 +36,7 @@ from metropilot.control import (
 from metropilot.convoy.drivers.base import AbstractFollower, Memory, waits
 from metropilot.convoy.own_plant import OwnPlant, learn, look_ahead, own_plant
 from metropilot.convoy.plan import PlannedMotion, plan_at
-from metropilot.convoy.step import FollowerObservation
+from metropilot.convoy.step import HALF, FollowerObservation, most_share
 from metropilot.physics import Vehicle, namespace
 
 JERK_USE = 0.97
@@ -49,9 +49,13 @@ NEAR_M = 8.0
 """Distance to the own mark at which the stop's own law takes over from the plan."""
 NEAR_ENOUGH_M, CREEP_M = 0.04, 0.05
 """Error at the stop that is not worth a correction in the last period; distance at which creeping ends."""
+PULL_S, BRAKE_S, HARSH_MPS2 = 0.1, 0.5, 1e3
+"""Times beyond the lag in which spare gap is used, and a lack of it made up for; no limit of acceleration."""
 SHIFT_M = 0.5
 """Departure of the trainset ahead at its stop that does not move the own mark."""
-LAST_STOP = StopOptions(release_share=0.8)
+RELEASE_SHARE, LAG_RELEASE_SHARE, LAG_SOFT_M = 0.8, 0.3, 0.1
+"""Jerk of the last release over the jerk limit, without and with a lag; and with a lag the error that is
+accepted for a gentle end."""
 
 
 class PlaceMemory(NamedTuple):
@@ -194,12 +198,17 @@ def stop(
     xp = namespace(observation.position_m, observation.gap_m)
     v, left_m = ahead.speed_mps, own_mark(memory, observation) - ahead.position_m
     rate = v * v / (2.0 * xp.maximum(left_m, 0.1))
-    curve = curve_for(vehicle, dt, xp.maximum(rate, 0.1), LAST_STOP)
+    lags = vehicle.lag_s > 0.0
+    options = StopOptions(
+        release_share=xp.where(lags, LAG_RELEASE_SHARE, RELEASE_SHARE),
+        soft_m=xp.where(lags, LAG_SOFT_M, 0.0),
+    )
+    curve = curve_for(vehicle, dt, xp.maximum(rate, 0.1), options)
     a, jerk = ahead.acceleration_mps2, vehicle.jerk_mps3
-    demand = stop_deceleration(v, a, left_m, curve, dt, LAST_STOP)
+    demand = stop_deceleration(v, a, left_m, curve, dt, options)
     drawing = draws_up(v, a, left_m, jerk, vehicle.lag_s)
     stopping = xp.where(drawing, STOP_OPTIONS.draw_up_mps2, -demand.wanted_mps2)
-    settles, settling = settle(v, a, left_m, jerk, dt, NEAR_ENOUGH_M, CREEP_M, LAST_STOP)
+    settles, settling = settle(v, a, left_m, jerk, dt, NEAR_ENOUGH_M, CREEP_M, options)
     stopping = xp.where(settles, settling, stopping)
     near = (left_m < NEAR_M) & (memory.alone <= 0.0)
     return xp.where(near, stopping, wanted_mps2)
@@ -214,6 +223,40 @@ def own_mark(memory: PlaceMemory, observation: FollowerObservation) -> Scalar:
 
 
 @no_type_check
+def most_in_gap(observation: FollowerObservation, ahead: PredictedState) -> Scalar:
+    """Largest acceleration with which protection will have its gap when the command acts, and thereafter.
+
+    What is on its way cannot be taken back: each m/s that it adds to the own speed takes ``v / b`` more gap,
+    at a brake rate ``b``, and so does each that the trainset ahead loses meanwhile. Without dead time and lag
+    there is no such limit: protection's own answer is prompt.
+    """
+    vehicle, v, later_s, needs = observation.vehicle, observation.speed_mps, ahead.seconds, observation.needs
+    xp = namespace(observation.position_m, observation.gap_m)
+    per_mps = xp.maximum(v, ahead.speed_mps) / observation.held_mps2
+    loses_mps = -xp.minimum(observation.ahead_mps2, 0.0) * later_s
+    grows_m = per_mps * (ahead.speed_mps - v + loses_mps)
+    closes_m = later_s * (0.5 * (v + ahead.speed_mps + loses_mps) - observation.ahead_mps)
+    left_m = observation.gap_m - grows_m - closes_m
+    drag = ahead.resistance_mps2 + ahead.gradient_mps2
+    per_mps2 = xp.maximum(per_mps * (vehicle.lag_s + PULL_S), 1e-3)
+    spare_m = left_m - needs.coasting_m
+    least = spare_m / xp.where(spare_m > 0.0, per_mps2, xp.maximum(per_mps * (vehicle.lag_s + BRAKE_S), 1e-3))
+    # Above what is on its way a larger command needs more now, too.
+    first = xp.maximum(needs.on_its_way * ahead.traction_mps2 - drag, 0.0)
+    full = xp.maximum(ahead.traction_mps2 - drag, first + 1e-3)
+    half = xp.clip(xp.maximum(HALF, needs.on_its_way) * ahead.traction_mps2 - drag, first, full)
+    first_m, half_m, full_m = (
+        need_m + per_mps2 * mps2
+        for need_m, mps2 in ((needs.coasting_m, first), (needs.half_m, half), (needs.pulling_m, full))
+    )
+    below = first + (half - first) * (left_m - first_m) / xp.maximum(half_m - first_m, 1e-3)
+    above = half + (full - half) * (left_m - half_m) / xp.maximum(full_m - half_m, 1e-3)
+    most = xp.where(left_m > half_m, above, xp.where(left_m > first_m, below, least))
+    limited = (vehicle.delay_s + vehicle.lag_s > 0.0) & (needs.pulling_m > 0.0)
+    return xp.where(limited, most, HARSH_MPS2)
+
+
+@no_type_check
 def command(
     memory: PlaceMemory, observation: FollowerObservation, ahead: PredictedState, wanted_mps2: Scalar
 ) -> Scalar:
@@ -221,10 +264,15 @@ def command(
     vehicle = observation.vehicle
     xp = namespace(observation.position_m, observation.gap_m)
     wanted = xp.minimum(wanted_mps2, xp.minimum(observation.most_rise_mps2, vehicle.max_acceleration_mps2))
+    in_gap = most_in_gap(observation, ahead)
+    wanted = xp.minimum(wanted, in_gap)
     wanted = xp.maximum(wanted, -vehicle.max_deceleration_mps2)
     room = JERK_USE * vehicle.jerk_mps3 * observation.period_s
     wanted = xp.clip(wanted, ahead.acceleration_mps2 - room, ahead.acceleration_mps2 + room)
-    share = xp.minimum(ahead.share_for(wanted), observation.most_share)
+    # What a command adds against the lag counts for protection, too.
+    most = xp.maximum(ahead.share_for(in_gap, lead=0.0), 0.0)
+    most = xp.minimum(most, most_share(observation.needs, observation.gap_m))
+    share = xp.minimum(ahead.share_for(wanted, lead=1.0), most)
     stands = waits(observation)
     if observation.plan is not None:
         left_m = own_mark(memory, observation) - observation.position_m
