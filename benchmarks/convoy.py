@@ -33,7 +33,13 @@ from metropilot.sim import Disturbance
 from metropilot.units import J_PER_KWH
 
 LINE, PERIOD_S, RATIO = "yizhuang", 0.1, 1.15
-TRAINSETS = ("dkz32", "cheng2023", "dkz32, dead time 0.5 s")
+TRAINSETS = {
+    "dkz32": (0.0, 0.0),
+    "cheng2023": (0.0, 0.0),
+    "dkz32, dead time 0.5 s": (0.5, 0.0),
+    "dkz32, dead time 0.6 s, lag 0.4 s": (0.6, 0.4),
+}
+"""Dead time and lag of each, in s."""
 LINKS = {"0.1 s": Link(0.1), "0.3 s, 10 % lost": Link(0.3, 0.0, 0.1)}
 COUNTS = (2, 4, 8)
 MASSES = (0.9, 1.2, 0.8, 1.1, 1.0, 1.2, 0.8, 0.9)
@@ -63,10 +69,9 @@ class Case:
 
 
 def trainset_of(name: str) -> Trainset:
-    """A trainset of the catalogue, or one with a declared dead time."""
-    known = load_trainset(name.partition(",")[0])
-    delay_s = 0.5 if "," in name else known.actuation.delay_s
-    return replace(known, actuation=replace(known.actuation, delay_s=delay_s))
+    """A trainset of the catalogue with the dead time and lag of its row."""
+    known, (delay_s, lag_s) = load_trainset(name.partition(",")[0]), TRAINSETS[name]
+    return replace(known, actuation=replace(known.actuation, delay_s=delay_s, lag_s=lag_s))
 
 
 def drive_case(name: str, link: str, count: int, origin: str, destination: str) -> Case:

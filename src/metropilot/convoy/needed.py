@@ -124,7 +124,7 @@ def delay_along(need: NeededGap, row: int) -> Float[ndarray, " rows"]:
     rows = range(row, times.size, max(round(NEED_STEP_S / need.dt), 1))
     found, delay = [], 0.0
     for k in rows:
-        lack_m = np.inf
+        lack_m, before = np.inf, delay
         for _ in range(DELAY_TRIALS):
             needed, gap, then = need.gaps_m(k, float(times[k]) + delay)
             if then.acceleration_mps2 < 0.0 and needed - gap > WORTH * lack_m:
