@@ -22,7 +22,7 @@ from metropilot.protection import permitted_speed
 
 SLOPE_MPS, FASTEST_SLOPE_MPS, SLOPE_PER_S = 0.5, 3.0, 0.05
 """Rate at which a gap is opened or closed: least, largest, and over the change of the gap."""
-UNDER_MPS = 0.1
+PLANNED_UNDER_MPS = 0.1
 """Margin of a planned speed below the permitted one while a gap is closed."""
 GAP_SHARE = 0.3
 """Rate at which a gap is opened at most, over the speed: a trainset does not stand still for it."""
@@ -55,7 +55,7 @@ CREEP_MPS, CREEP_M = 0.05, 0.2
 """Speed and distance with which a planned motion ends: it is shifted to the mark and does not creep there."""
 SHIFT_FROM_M, SHIFT_TO_M = 60.0, 1.0
 """Distances to the own mark between which a planned motion is shifted to end there."""
-LIMIT_S = 1.0
+APPROACH_S = 1.0
 """Time constant with which a planned motion approaches the permitted speed, without dead time and lag."""
 DELAY_USE, BRAKING_USE = 0.4, 0.85
 """Share of the gap beyond the needed one that making up for a delay may take; while it brakes."""
@@ -188,7 +188,7 @@ def _limit_closing(
     use, room = np.where(brakes, BRAKING_USE, DELAY_USE), np.where(brakes, BRAKING_SHARE, CLOSING_SHARE)
     if member.protection is None:
         return use, room
-    permitted = permitted_speed(member.protection, base.position_m) - UNDER_MPS
+    permitted = permitted_speed(member.protection, base.position_m) - PLANNED_UNDER_MPS
     faster = np.clip(1.0 - base.speed_mps / np.maximum(permitted, 0.1), 0.0, room)
     # Whoever makes up for a delay while it brakes brakes harder.
     most = BRAKE_USE * min(float(member.most_mps2), float(member.believed.max_deceleration_mps2))
@@ -237,8 +237,8 @@ def make_drivable(member: Member, wanted: MotionPlan, first: int, now: PlannedMo
     wanted_m, wanted_mps = position_m.tolist(), speed_mps.tolist()
     permitted = np.full(position_m.size, np.inf)
     if member.protection is not None:
-        permitted = permitted_speed(member.protection, position_m) - UNDER_MPS
-    late_s = LIMIT_S + float(vehicle.delay_s) + float(vehicle.lag_s)
+        permitted = permitted_speed(member.protection, position_m) - PLANNED_UNDER_MPS
+    late_s = APPROACH_S + float(vehicle.delay_s) + float(vehicle.lag_s)
     if member.protection is not None:
         # Whoever still accelerates stays below the permitted speed by what it gains until a brake acts.
         rates = member.protection.rates
@@ -320,7 +320,7 @@ def smooth_gap(
     slope = min(max(SLOPE_MPS, SLOPE_PER_S * change), FASTEST_SLOPE_MPS)
     room = np.full(count, slope)
     if member.protection is not None:
-        room = permitted_speed(member.protection, level.position_m) - UNDER_MPS - level.speed_mps
+        room = permitted_speed(member.protection, level.position_m) - PLANNED_UNDER_MPS - level.speed_mps
     held = float(member.bounds.held_mps2)
     takes = level.speed_mps[first:] / held + 1.0
     opening = np.minimum(slope, GAP_SHARE * level.speed_mps[first:])
