@@ -124,12 +124,11 @@ def delay_along(need: NeededGap, row: int) -> Float[ndarray, " rows"]:
     rows = range(row, times.size, max(round(NEED_STEP_S / need.dt), 1))
     found, delay = [], 0.0
     for k in rows:
-        lack_m, before = np.inf, delay
+        lack_m = np.inf
         for _ in range(DELAY_TRIALS):
             needed, gap, then = need.gaps_m(k, float(times[k]) + delay)
             if then.acceleration_mps2 < 0.0 and needed - gap > WORTH * lack_m:
-                # The trainset ahead stops meanwhile: waiting brings no gap.
-                delay = before
+                # The trainset ahead stops meanwhile: waiting longer brings no gap.
                 break
             lack_m = max(needed - gap, 0.0)
             # A trainset ahead that has become faster meanwhile needs less gap behind it, too.

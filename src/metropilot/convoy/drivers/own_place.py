@@ -263,14 +263,14 @@ def command(
     """Command for an acceleration within the permitted speed, the trainset's rates and its jerk limit."""
     vehicle = observation.vehicle
     xp = namespace(observation.position_m, observation.gap_m)
-    wanted = xp.minimum(wanted_mps2, xp.minimum(observation.most_rise_mps2, vehicle.max_acceleration_mps2))
-    in_gap = most_in_gap(observation, ahead)
-    wanted = xp.minimum(wanted, in_gap)
+    wanted = xp.minimum(wanted_mps2, vehicle.max_acceleration_mps2)
+    passes = xp.minimum(observation.most_rise_mps2, most_in_gap(observation, ahead))
+    wanted = xp.minimum(wanted, passes)
     wanted = xp.maximum(wanted, -vehicle.max_deceleration_mps2)
     room = JERK_USE * vehicle.jerk_mps3 * observation.period_s
     wanted = xp.clip(wanted, ahead.acceleration_mps2 - room, ahead.acceleration_mps2 + room)
     # What a command adds against the lag counts for protection, too.
-    most = xp.maximum(ahead.share_for(in_gap, lead=0.0), 0.0)
+    most = xp.where(vehicle.lag_s > 0.0, xp.maximum(ahead.share_for(passes, lead=0.0), 0.0), 1.0)
     most = xp.minimum(most, most_share(observation.needs, observation.gap_m))
     share = xp.minimum(ahead.share_for(wanted, lead=1.0), most)
     stands = waits(observation)
