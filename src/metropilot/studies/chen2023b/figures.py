@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -39,57 +39,56 @@ def draw_learning(histories: Histories, columns: Mapping[str, str], label: str) 
     return figure
 
 
-def _grid(keys: Iterable[tuple[str, str]], rows: int, height: float) -> tuple[Drawing, Any, list[str]]:
-    """Panels with one column per choice of eta, and these choices."""
-    from matplotlib import pyplot as plt
-
-    etas = list(dict.fromkeys(eta for _, eta in keys))
-    figure, axes = plt.subplots(
-        rows, len(etas), figsize=(8, height), layout="constrained", sharex=True, squeeze=False
-    )
-    for panel, eta in zip(axes[0], etas, strict=True):
-        panel.set_title(", ".join(f"eta {number:g}" for number in dict.fromkeys(ETAS[eta])), fontsize=9)
-    return figure, axes, etas
+def _name_eta(eta: str) -> str:
+    return "eta " + ", ".join(f"{number:g}" for number in dict.fromkeys(ETAS[eta]))
 
 
 def draw_returns(
     histories: Mapping[tuple[str, str], Sequence[Mapping[str, np.ndarray]]], periods: int
 ) -> Drawing:
     """Draw the return over episodes of so many periods; histories by follower and eta, one line a seed."""
-    names = list(dict.fromkeys(name for name, _ in histories))
-    figure, axes, etas = _grid(histories, len(names), 5.0)
+    from matplotlib import pyplot as plt
+
+    names, etas = (list(dict.fromkeys(part)) for part in zip(*histories, strict=True))
+    shape = len(names), len(etas)
+    figure, axes = plt.subplots(*shape, figsize=(8, 5), layout="constrained", sharex=True, squeeze=False)
     for (name, eta), runs in histories.items():
         panel = axes[names.index(name), etas.index(eta)]
         for run in runs:
             colour = SERIES_STYLES[names.index(name)][0]
             panel.plot(run["steps"] / periods, run["return"], color=colour, linewidth=0.7)
-    for name, row in zip(names, axes, strict=True):
-        row[0].set_ylabel(f"{name}: return")
+        panel.set_title(f"{name}, {_name_eta(eta)}", loc="left", fontsize=9)
+    for row in axes:
+        row[0].set_ylabel("return")
     for panel in axes[-1]:
         panel.set_xlabel("episodes")
     return figure
 
 
 def draw_gains(gains: Mapping[tuple[str, str], Sequence[np.ndarray]], period_s: float) -> Drawing:
-    """Draw the three gains over the run; arrays of shape (T, 3) by follower and eta, one line a seed."""
-    names = list(dict.fromkeys(name for name, _ in gains))
+    """Draw the three gains over the run; arrays of shape (T, 3) by follower and eta, one line a seed.
+
+    A seed that runs on after a contact is cut where most have arrived.
+    """
+    from matplotlib import pyplot as plt
+
     low, high = gains_of(-np.ones(3)), gains_of(np.ones(3))
-    figure, axes, etas = _grid(gains, len(high), 6.0)
-    for (name, eta), runs in gains.items():
-        colour, dashes = SERIES_STYLES[names.index(name)]
-        for k, panel in enumerate(axes[:, etas.index(eta)]):
-            for number, run in enumerate(runs):
-                label = name if number == 0 else None
-                time_s = period_s * np.arange(len(run))
-                panel.plot(time_s, run[:, k], color=colour, linestyle=dashes, linewidth=0.7, label=label)
-    for name, row, bounds in zip(high._fields, axes, zip(low, high, strict=True), strict=True):
-        row[0].set_ylabel(f"{name} gain")
-        for panel in row:
-            for bound in bounds:
+    ends_s = period_s * float(np.median([len(run) for runs in gains.values() for run in runs]))
+    shape = len(high), len(gains)
+    figure, axes = plt.subplots(
+        *shape, figsize=(11, 6), layout="constrained", sharex=True, sharey="row", squeeze=False
+    )
+    for ((name, eta), runs), column in zip(gains.items(), axes.T, strict=True):
+        column[0].set_title(f"{name}, {_name_eta(eta)}", loc="left", fontsize=9)
+        column[0].set_xlim(0.0, ends_s)
+        column[-1].set_xlabel("time (s)")
+        for k, panel in enumerate(column):
+            for run, (colour, _) in zip(runs, SERIES_STYLES, strict=False):
+                panel.plot(period_s * np.arange(len(run)), run[:, k], color=colour, linewidth=0.7)
+            for bound in (low[k], high[k]):
                 panel.axhline(bound, color=GREY, linewidth=0.8)
-    axes[0, -1].legend()
-    for panel in axes[-1]:
-        panel.set_xlabel("time (s)")
+    for name, row in zip(high._fields, axes, strict=True):
+        row[0].set_ylabel(f"{name} gain")
     return figure
 
 
