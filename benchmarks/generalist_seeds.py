@@ -65,6 +65,8 @@ def learned_with(about: Any) -> str:  # noqa: ANN401 (what a policy's file says)
     kept = [f"{a} {b}" for a, b in pairwise(words) if a in {"--set", "--steps"}]
     if about["provenance"]["steps"] <= about["config"]["decisions"]:
         return "imitation alone"
+    if about["config"]["batches"] == 1 and about["config"]["imitation_weight"] == 0.0:
+        return "closed loop alone"
     return f"`{' '.join(kept)}`" if kept else "as shipped"
 
 
