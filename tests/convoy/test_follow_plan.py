@@ -311,7 +311,7 @@ def test_a_dead_time_and_a_lag_of_a_second_are_answered(follower, stops, link):
 
 
 def observed(trainset, *, speed_mps, pending, gap_m, ahead_mps):
-    """What a follower of two sees at a speed, with a command on its way for some time."""
+    """Observation of a follower of two at a speed, with a command on its way for some time."""
     convoy = Convoy(YIZHUANG.section("RJ", "WYJ"), (trainset,) * 2, dt=DT)
     head, own = convoy_members(convoy)
     state = at_departure(own, head, DT, position_m=600.0, speed_mps=speed_mps)

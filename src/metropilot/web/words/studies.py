@@ -53,6 +53,11 @@ WORDS = (
     N_("Limits and gradients (its Figs. 4 and 12)"),
     N_("Stops with a brake off by 30 %"),
     N_("Figs. 3 and 4: return of the episodes while learning, one line a seed."),
+    N_("Figs. 3 and 4 over as many episodes as in the paper, one line a seed; eta 1000 is printed."),
+    N_(
+        "Gains that the learned policies set over the run, one line a seed; eta 1000 and the grey bounds are "
+        "printed."
+    ),
     N_("Figs. 5 and 6: policy loss of SAC, critic loss of DDPG, one line a seed."),
     N_("Fig. 7: speed of both trainsets under SAC-PID."),
     N_("Fig. 8: gap of every follower; the band is the published 5.88 to 5.98 m."),
