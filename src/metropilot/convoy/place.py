@@ -48,7 +48,8 @@ TRACKING_PER_S, CATCH_UP_MPS2, CATCH_UP_PER_S2 = 0.8, 0.2, 0.012
 """Bandwidth with which a planned motion comes back to the wanted one, the most that it accelerates for it,
 and for each metre that it is behind: a large command takes a large gap."""
 FALL_BACK_MPS2 = 0.15
-"""The most that it decelerates for it: the trainsets behind would have to decelerate more."""
+"""The most that it decelerates for it if its commands act late: the trainsets behind would have to decelerate
+more."""
 CLOSING_S = 20.0
 """Time for closing a gap after the trainset ahead stands."""
 CREEP_MPS, CREEP_M = 0.05, 0.2
@@ -256,6 +257,7 @@ def make_drivable(member: Member, wanted: MotionPlan, first: int, now: PlannedMo
     )
     takes = (speed_mps / float(member.bounds.held_mps2) + 1.0).tolist()
     answers = 1.0 - kept_share(float(vehicle.lag_s), dt)
+    most_down = FALL_BACK_MPS2 if float(vehicle.delay_s + vehicle.lag_s) > 0.0 else np.inf
     stands, closes = np.flatnonzero(speed_mps > CREEP_MPS).max(initial=0), manoeuvres(member)
     x, v, a = now
     positions, speeds = [x], [v]
@@ -265,7 +267,7 @@ def make_drivable(member: Member, wanted: MotionPlan, first: int, now: PlannedMo
         most_faster = SLOPE_MPS if closes else BRAKING_USE * max(behind, 0.0) / takes[k]
         faster = min(max(0.5 * w * behind, -SLOPE_MPS), most_faster)
         most_up = CATCH_UP_MPS2 + CATCH_UP_PER_S2 * max(wanted_m[k] - x, 0.0)
-        catching_up = max(min(2.0 * w * (wanted_mps[k] + faster - v), most_up), -FALL_BACK_MPS2)
+        catching_up = max(min(2.0 * w * (wanted_mps[k] + faster - v), most_up), -most_down)
         free = min(rise + catching_up, (cap[k + 1] - v) / late_s)
         # A motion that a lag shapes takes no larger commands for it, which protection would count.
         lagged = a + answers * (min(max(free, least[k]), most[k]) - a)
