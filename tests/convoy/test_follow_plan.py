@@ -310,7 +310,7 @@ def test_a_dead_time_and_a_lag_of_a_second_are_answered(follower, stops, link):
     assert drive.interventions == (0,) * 3
 
 
-def observed(trainset, *, speed_mps, pending, gap_m, ahead_mps):
+def observe_follower(trainset, *, speed_mps, pending, gap_m, ahead_mps):
     """Observation of a follower of two at a speed, with a command on its way for some time."""
     convoy = Convoy(YIZHUANG.section("RJ", "WYJ"), (trainset,) * 2, dt=DT)
     head, own = convoy_members(convoy)
@@ -325,19 +325,19 @@ def observed(trainset, *, speed_mps, pending, gap_m, ahead_mps):
 
 def test_a_command_no_larger_than_what_is_on_its_way_needs_no_more():
     """Half of what was on its way was allowed in the next period, at the gap that it had been passed for."""
-    seen = observed(SLOW, speed_mps=12.0, pending=0.4, gap_m=20.0, ahead_mps=12.0)
+    seen = observe_follower(SLOW, speed_mps=12.0, pending=0.4, gap_m=20.0, ahead_mps=12.0)
     needs = seen.needs
     assert needs.on_its_way == pytest.approx(0.4)
     assert most_share(needs, needs.coasting_m) == pytest.approx(0.4)
     assert most_share(needs, needs.half_m) == pytest.approx(HALF)
     assert most_share(needs, needs.coasting_m - 1.0) < 0.0
-    prompt = observed(load_trainset("dkz32"), speed_mps=12.0, pending=0.4, gap_m=20.0, ahead_mps=12.0)
+    prompt = observe_follower(load_trainset("dkz32"), speed_mps=12.0, pending=0.4, gap_m=20.0, ahead_mps=12.0)
     assert prompt.needs.on_its_way == 0.0
 
 
 @pytest.mark.parametrize("gap_m", [4.0, 12.0, 20.0, 30.0])
 def test_an_acceleration_ends_before_the_gap_that_it_will_need(gap_m):
-    seen = observed(SLOW, speed_mps=12.0, pending=0.2, gap_m=gap_m, ahead_mps=12.0)
+    seen = observe_follower(SLOW, speed_mps=12.0, pending=0.2, gap_m=gap_m, ahead_mps=12.0)
     ahead = look_ahead(own_plant(vehicle_arrays(SLOW), DT)._replace(speed_mps=np.float64(12.0)), seen)
     most = float(most_in_gap(seen, ahead))
     assert (most < 0.0) == (seen.gap_m < seen.needs.coasting_m)

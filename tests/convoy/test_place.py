@@ -7,8 +7,8 @@ import pytest
 
 from metropilot.convoy import Convoy, ConvoyRequest, Link, convoy_kpis, drive_convoy
 from metropilot.convoy.manoeuvre import plan_followers
-from metropilot.convoy.model import convoy_members, growing_m
-from metropilot.convoy.needed import NeededGap
+from metropilot.convoy.model import convoy_members
+from metropilot.convoy.needed import NeededGap, growing_m
 from metropilot.convoy.place import delay_motion, make_drivable
 from metropilot.convoy.plan import MotionPlan, PlannedMotion, plan_at, plan_times, splice
 from metropilot.evaluate import RunSpec

@@ -75,6 +75,9 @@ def test_published_ours_and_as_printed_stand_in_one_row(two_studies, tmp_path, c
     assert "| price of time | 1000 | 100 |" in page
     assert "| 100 s | `ppo` | energy | kWh | 10.00 | 12.00 | 15.00 | 14.00 … 19.00 |" in page
     assert "- 3 of 500 episodes." in page
+    rows = (tmp_path / "able2020" / "rows.csv").read_text().splitlines()
+    assert rows[-2].startswith("As printed,100 s,ppo,energy,kWh,10.0,15.0,14.0,19.0,")
+    assert rows[-2].endswith(",14.0,15.0,19.0")
 
 
 def test_the_tables_are_shown_on_the_command_line(two_studies, tmp_path, capsys):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from functools import reduce
-from typing import Literal, NamedTuple, get_args, no_type_check
+from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 
@@ -425,30 +425,6 @@ def convoy_member(convoy: Convoy, k: int, dtype: type = np.float64) -> Member:
         uncouple_at_m=dtype(convoy.uncouple_at_m - (k and convoy.trainsets[k - 1].length_m + convoy.gap_m)),
         is_head=np.bool_(k == 0),
     )
-
-
-@no_type_check
-def growing_m(
-    member: Member, speed_mps: Array, acceleration_mps2: Array, closing_mps: Array, ahead_mps2: Array
-) -> Array:
-    """Growth of the gap that protection needs, and loss of the own one, while commands are on their way.
-
-    They cannot be taken back: a speed that rises by ``a`` a second, or that of the trainset ahead that falls
-    by ``a``, takes ``v a / b`` more gap a second, at a brake rate ``b``.
-
-    Args:
-        member: The trainset.
-        speed_mps: Its speed.
-        acceleration_mps2: Its acceleration.
-        closing_mps: Its speed less that of the trainset ahead.
-        ahead_mps2: Acceleration of the trainset ahead; what it gains is not counted on.
-    """
-    believed = member.believed
-    xp = namespace(speed_mps, closing_mps)
-    late_s = believed.delay_s + believed.lag_s
-    rises_mps2 = xp.maximum(acceleration_mps2 - xp.minimum(ahead_mps2, 0.0), 0.0)
-    rate = speed_mps * rises_mps2 / member.bounds.held_mps2 + closing_mps
-    return late_s * xp.maximum(rate, 0.0)
 
 
 def _possible_disturbances(convoy: Convoy, k: int) -> tuple[Disturbance, ...]:

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from typing import no_type_check
+
 import numpy as np
 from numpy import ndarray
 
-from metropilot._typing import Float
-from metropilot.convoy.model import FAR_M, Member, growing_m
+from metropilot._typing import Float, Scalar
+from metropilot.convoy.model import FAR_M, Member
 from metropilot.convoy.plan import MotionPlan, PlannedMotion, plan_at, plan_times
-from metropilot.physics import effort_limits, kept_share
+from metropilot.physics import effort_limits, kept_share, namespace
 from metropilot.protection import Protection, TrainAhead, at_start, spare_gap
 
 MARGIN_M = 0.4
@@ -35,6 +37,30 @@ def silence_s(member: Member, dt: float) -> float:
     late = float(member.link.delay_s) + float(member.link.jitter_s)
     # A message that is due between two periods is heard in the next.
     return np.ceil(late / dt - 1e-6) * dt + min(lost, LONGEST_SILENCE_S)
+
+
+@no_type_check
+def growing_m(
+    member: Member, speed_mps: Scalar, acceleration_mps2: Scalar, closing_mps: Scalar, ahead_mps2: Scalar
+) -> Scalar:
+    """Growth of the gap that protection needs, and loss of the own one, while commands are on their way.
+
+    They cannot be taken back: a speed that rises by ``a`` a second, or that of the trainset ahead that falls
+    by ``a``, takes ``v a / b`` more gap a second, at a brake rate ``b``.
+
+    Args:
+        member: The trainset.
+        speed_mps: Its speed.
+        acceleration_mps2: Its acceleration.
+        closing_mps: Its speed less that of the trainset ahead.
+        ahead_mps2: Acceleration of the trainset ahead; what it gains is not counted on.
+    """
+    believed = member.believed
+    xp = namespace(speed_mps, closing_mps)
+    late_s = believed.delay_s + believed.lag_s
+    rises_mps2 = xp.maximum(acceleration_mps2 - xp.minimum(ahead_mps2, 0.0), 0.0)
+    rate = speed_mps * rises_mps2 / member.bounds.held_mps2 + closing_mps
+    return late_s * xp.maximum(rate, 0.0)
 
 
 class NeededGap:

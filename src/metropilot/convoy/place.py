@@ -250,11 +250,8 @@ def make_drivable(member: Member, wanted: MotionPlan, first: int, now: PlannedMo
     lowest = np.lib.stride_tricks.sliding_window_view(
         np.pad(permitted, (rows_before, rows), "edge"), rows_before + rows + 1
     ).min(axis=1)
-    cap, jerk, w = (
-        lowest.tolist(),
-        RATE_USE * float(vehicle.jerk_mps3) * dt,
-        min(TRACKING_PER_S, float(most_bandwidth(vehicle))),
-    )
+    cap, jerk = lowest.tolist(), RATE_USE * float(vehicle.jerk_mps3) * dt
+    w = min(TRACKING_PER_S, float(most_bandwidth(vehicle)))
     takes = (speed_mps / float(member.bounds.held_mps2) + 1.0).tolist()
     answers = 1.0 - kept_share(float(vehicle.lag_s), dt)
     most_down = FALL_BACK_MPS2 if float(vehicle.delay_s + vehicle.lag_s) > 0.0 else np.inf

@@ -271,6 +271,16 @@ def update_needed_gap(member: Member, state: MemberState, now_s: Array, period_s
 
 
 @no_type_check
+def most_within(gap_m: Array, gaps_m: tuple[Array, ...], values: tuple[Array, ...]) -> Array:
+    """Largest value for which a gap is enough, by chords between the gaps that three values need."""
+    xp = namespace(gap_m, gaps_m[0])
+    (low_m, middle_m, high_m), (low, middle, high) = gaps_m, values
+    below = low + (middle - low) * (gap_m - low_m) / xp.maximum(middle_m - low_m, 1e-3)
+    above = middle + (high - middle) * (gap_m - middle_m) / xp.maximum(high_m - middle_m, 1e-3)
+    return xp.where(gap_m < middle_m, below, above)
+
+
+@no_type_check
 def most_share(needs: NeededGaps, gap_m: Array) -> Array:
     """Largest command that protection passes at a gap, by the gaps that a few commands need.
 
@@ -278,10 +288,8 @@ def most_share(needs: NeededGaps, gap_m: Array) -> Array:
     """
     xp = namespace(gap_m, needs.coasting_m)
     first, coasting_m, half_m = needs.on_its_way, needs.coasting_m, needs.half_m
-    middle = xp.maximum(HALF, first)
-    below = first + (middle - first) * (gap_m - coasting_m) / xp.maximum(half_m - coasting_m, 1e-3)
-    above = middle + (1.0 - middle) * (gap_m - half_m) / xp.maximum(needs.pulling_m - half_m, 1e-3)
-    passed = xp.where(gap_m < half_m, below, above)
+    gaps_m = coasting_m, half_m, needs.pulling_m
+    passed = most_within(gap_m, gaps_m, (first, xp.maximum(HALF, first), 1.0))
     passed = xp.where(gap_m < coasting_m, (gap_m - coasting_m) / EASE_M, passed)
     return xp.where(needs.pulling_m <= 0.0, 1.0, xp.clip(passed, -1.0, 1.0))
 

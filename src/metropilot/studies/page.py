@@ -196,14 +196,24 @@ def _table(rows: list[ReportRow]) -> list[str]:
 
 
 def write_rows(path: Path, report: StudyReport) -> None:
-    """Write every row as a table of comma-separated values, with the value of each seed."""
-    count = max((len(row.values) for row in report.rows), default=0)
+    """Write every row as a table of comma-separated values, with the value of each seed.
+
+    Rows of the printed settings follow as a table of their own.
+    """
+    literal = [] if report.as_printed is None else report.as_printed.rows
+    rows = [*report.rows, *(_plain_row(row) for row in literal)]
+    count = max((len(row.values) for row in rows), default=0)
     names = [f.name for f in fields(ReportRow) if f.name != "values"]
     with path.open("w", newline="", encoding="utf-8") as file:
         table = csv.writer(file)
         table.writerow([*names, *(f"seed {k}" for k in range(count))])
-        for row in report.rows:
+        for row in rows:
             table.writerow([*(getattr(row, name) for name in names), *row.values])
+
+
+def _plain_row(row: LiteralRow) -> ReportRow:
+    numbers = {"published": row.published, "ours": row.as_printed, "low": row.low, "high": row.high}
+    return ReportRow("As printed", row.case, row.driver, row.kpi, row.unit, **numbers, values=row.values)
 
 
 def write_figures(folder: Path, report: StudyReport) -> None:

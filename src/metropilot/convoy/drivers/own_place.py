@@ -36,7 +36,7 @@ from metropilot.control import (
 from metropilot.convoy.drivers.base import AbstractFollower, Memory, waits
 from metropilot.convoy.own_plant import OwnPlant, learn, look_ahead, own_plant
 from metropilot.convoy.plan import PlannedMotion, plan_at
-from metropilot.convoy.step import HALF, FollowerObservation, most_share
+from metropilot.convoy.step import HALF, FollowerObservation, most_share, most_within
 from metropilot.physics import Vehicle, namespace
 
 JERK_USE = 0.97
@@ -238,20 +238,17 @@ def most_in_gap(observation: FollowerObservation, ahead: PredictedState) -> Scal
     closes_m = later_s * (0.5 * (v + ahead.speed_mps + loses_mps) - observation.ahead_mps)
     left_m = observation.gap_m - grows_m - closes_m
     drag = ahead.resistance_mps2 + ahead.gradient_mps2
-    per_mps2 = xp.maximum(per_mps * (vehicle.lag_s + PULL_S), 1e-3)
     spare_m = left_m - needs.coasting_m
-    least = spare_m / xp.where(spare_m > 0.0, per_mps2, xp.maximum(per_mps * (vehicle.lag_s + BRAKE_S), 1e-3))
+    pulls_m, brakes_m = (xp.maximum(per_mps * (vehicle.lag_s + time_s), 1e-3) for time_s in (PULL_S, BRAKE_S))
+    least = spare_m / xp.where(spare_m > 0.0, pulls_m, brakes_m)
     # Above what is on its way a larger command needs more now, too.
     first = xp.maximum(needs.on_its_way * ahead.traction_mps2 - drag, 0.0)
     full = xp.maximum(ahead.traction_mps2 - drag, first + 1e-3)
     half = xp.clip(xp.maximum(HALF, needs.on_its_way) * ahead.traction_mps2 - drag, first, full)
-    first_m, half_m, full_m = (
-        need_m + per_mps2 * mps2
-        for need_m, mps2 in ((needs.coasting_m, first), (needs.half_m, half), (needs.pulling_m, full))
-    )
-    below = first + (half - first) * (left_m - first_m) / xp.maximum(half_m - first_m, 1e-3)
-    above = half + (full - half) * (left_m - half_m) / xp.maximum(full_m - half_m, 1e-3)
-    most = xp.where(left_m > half_m, above, xp.where(left_m > first_m, below, least))
+    rates = first, half, full
+    now_m = needs.coasting_m, needs.half_m, needs.pulling_m
+    gaps_m = tuple(need_m + pulls_m * mps2 for need_m, mps2 in zip(now_m, rates, strict=True))
+    most = xp.where(left_m > gaps_m[0], most_within(left_m, gaps_m, rates), least)
     limited = (vehicle.delay_s + vehicle.lag_s > 0.0) & (needs.pulling_m > 0.0)
     return xp.where(limited, most, HARSH_MPS2)
 

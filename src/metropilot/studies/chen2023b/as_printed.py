@@ -129,7 +129,7 @@ def measure(order: Order) -> LiteralRun:
     rows: list[ReportRow] = []
     gains: dict[tuple[str, str], list[np.ndarray]] = {}
     for (name, eta), results in groups.items():
-        recorded = [_recorded(name, order, result) for result in results]
+        recorded = [_record_gains(name, order, result) for result in results]
         rows += _rows(name, _case(eta), [drive_pair(each, guard="none") for each in recorded])
         said = partial(make_row, FIGURES, _case(eta), name)
         ends = [first_and_last(result) for result in results if np.isfinite(result.history["return"]).any()]
@@ -146,7 +146,8 @@ def _case(eta: str) -> str:
     return HEAD_CASE if eta == "paper" else f"{HEAD_CASE}, soft eta"
 
 
-def _recorded(name: str, order: Order, result: SeedResult) -> RecordedGains:
+def _record_gains(name: str, order: Order, result: SeedResult) -> RecordedGains:
+    """Make a learned follower that records its gains."""
     made = FOLLOWERS.make(name, options=FollowPolicyOptions(str(order.folder / result.job.run_id)))
     if not isinstance(made, AbstractGainFollower):
         raise TypeError(f"{name} sets no gains")
