@@ -26,6 +26,8 @@ MOVING = PeriodChange(
     acceleration_mps2=F(0.5),
     before_mps2=F(0.2),
     speed_mps=F(12.0),
+    command=F(0.5),
+    command_before=F(0.2),
 )
 ARRIVED = MOVING._replace(ended=np.bool_(True), arrived=np.bool_(True), late_s=F(3.0), error_m=F(0.1))
 FAILED = MOVING._replace(ended=np.bool_(True), late_s=F(3.0), error_m=F(-100.0))

@@ -11,6 +11,7 @@ from metropilot.studies.lu2023.env import (
     EffortEnergy,
     Moving,
     NotchForceAction,
+    RegimeSwitch,
     StopWindow,
 )
 
@@ -95,8 +96,9 @@ def test_assists_are_met_by_notches():
         assert met * (pull if met > 0 else brake) == pytest.approx(notch_n, abs=1.0)
     with pytest.raises(InputError, match="no table of notches"):
         NotchForceAction((-1.0, 1.0))
-    with pytest.raises(InputError, match="margin"):
-        NotchForceAction(margin=-0.1)
+    for field in ("margin", "most_mps2", "below_mps"):
+        with pytest.raises(InputError, match=field):
+            NotchForceAction(**{field: -0.1})
 
 
 def test_a_notch_is_held_as_a_force():
@@ -109,3 +111,63 @@ def test_a_notch_is_held_as_a_force():
     assert float(action.round(fast, F(later))) == pytest.approx(later)
     # a command stays what was decided
     assert RegimeAction().hold(fast, np.array([1.0]), F(0.3)) == 0.3
+
+
+def test_notches_within_the_largest_acceleration():
+    action = NotchForceAction(in_time=False, most_mps2=0.8)
+    slow, fast = (lu2023_sight(speed_mps=F(v), position_m=F(50.0)) for v in (2.0, 14.0))
+    masks = [action.action_mask(seen, 3.0) for seen in (slow, fast)]
+    # 194.3 t, level: 149 kN brake with 0.77 m/s2 and resistance, 170 kN pull with 0.87 less resistance
+    assert masks[0].tolist() == [True] * 10 + [False] * 2
+    assert masks[1].tolist() == [False] + [True] * 10 + [False]
+    # a notch that was gentle where it was chosen is exchanged for a weaker one where it is not
+    force = float(action.hold(slow, np.array(11), F(1.0))) * float(effort_at(slow.vehicle, F(2.0)).traction_n)
+    assert force == pytest.approx(136e3, abs=1.0)
+    force = float(action.hold(fast, np.array(0), F(-1.0))) * float(effort_at(fast.vehicle, F(14.0)).brake_n)
+    assert force == pytest.approx(-132e3, abs=1.0)
+
+
+def test_notches_that_stay_below_the_permitted_speed():
+    action = NotchForceAction(in_time=False, below_mps=0.1)
+    permitted = float(lu2023_sight().permitted_mps)
+    free, near, above = (
+        action.action_mask(lu2023_sight(speed_mps=F(permitted - less)), 3.0) for less in (6.0, 0.2, -1.0)
+    )
+    assert free.all()
+    assert near[:6].all()  # braking and coasting do
+    assert not near[7:].any()
+    assert above[0]  # the strongest brake can always be chosen
+    assert not above[6:].any()
+    # in time or not, nothing that comes too near is allowed
+    late = lu2023_sight(speed_mps=F(permitted - 0.2), scheduled_s=F(51.0))
+    mask = NotchForceAction(below_mps=0.1).action_mask(late, 3.0)
+    assert mask.sum() == 1
+    assert near[np.argmax(mask)]
+
+
+def test_a_stop_by_notches_does_not_hunt():
+    # at 40 m from the stop, level: 132 kN brake with 0.68 m/s2, 99 kN with 0.51
+    action = NotchForceAction(late_brake=True)
+    length = float(lu2023_sight().length_m)
+
+    def brake_n(needed_mps2, in_force_n, left_m=40.0):
+        v = np.sqrt(2.0 * needed_mps2 * left_m)
+        seen = lu2023_sight(position_m=F(length - left_m), speed_mps=F(v), stop_mps2=F(0.72))
+        share = F(in_force_n / float(effort_at(seen.vehicle, F(v)).brake_n))
+        wanted = F(-needed_mps2 * 194.3e3 / 149e3)
+        found = float(action.round(seen._replace(command=share), wanted))
+        return round(found * float(effort_at(seen.vehicle, F(v)).brake_n), -3)
+
+    assert brake_n(0.65, -99e3) == -99e3  # the next one is too strong yet
+    assert brake_n(0.69, -99e3) == -132e3
+    assert brake_n(0.65, -132e3) == -132e3  # and stays
+    assert brake_n(0.55, -132e3) == -99e3  # until half of the step suffices
+    assert brake_n(0.60, -99e3, left_m=2.0) == -132e3  # the last metres: what suffices
+
+
+def test_regime_switches_have_a_price():
+    price = RegimeSwitch(3.0)
+    change = MOVING._replace(command=F(0.2), command_before=F(0.9))
+    assert float(price.value(change)) == 0.0
+    assert float(price.value(change._replace(command=F(0.0)))) == -3.0
+    assert float(price.value(change._replace(command_before=F(-0.5)))) == -3.0

@@ -46,6 +46,20 @@ def test_lu2023_twelve_notches_are_barely_above_the_convex_plan(time_s):
     }
 
 
+def test_a_largest_acceleration_is_kept_and_costs():
+    section, trainset = lu2023()
+    free, gentle = (
+        notch_plan(section, trainset, 125.0, trainset.notches["lu2023"], NotchOptions(5.0, 400, 0.0, most))
+        for most in (5.0, 0.8)
+    )
+    energy = 0.5 * gentle.speed_mps**2
+    rate = np.diff(energy) / np.diff(gentle.position_m)
+    assert rate[gentle.force_n != 0.0].max() < 0.8 + 1e-6
+    assert rate[gentle.force_n < 0.0].min() > -0.8 - 1e-6
+    assert 1.02 * free.energy_j < gentle.energy_j < 1.08 * free.energy_j
+    assert gentle.bound_j > free.energy_j
+
+
 def test_fewer_notches_cost_more_and_many_come_down_to_the_convex_plan():
     # a weak brake costs time and so energy, a weak pull too
     section, trainset = lu2023()

@@ -30,7 +30,7 @@ from metropilot.errors import InputError
 from metropilot.physics import scalars
 
 LET_GO_SHARE = 0.75
-"""Below this share of the planned deceleration the station stop began too early, and the policy drives on."""
+"""Below this share of the planned deceleration a station stop of continuous effort began too early."""
 LAST_M = 1.0
 """Nearer to the stop than this the station stop is not given up again."""
 SHORTEST_M = 0.5
@@ -43,6 +43,7 @@ RANGES = MappingProxyType(
         "stop_mps2": (0.0, STRONGEST_MPS2),
         "stop_use": (0.1, 1.0),
         "release": (0.1, 1.0),
+        "let_go": (0.0, 1.0),
     }
 )
 """Admissible ranges of the numbers of :class:`Assists`."""
@@ -60,6 +61,8 @@ class Assists:
             small for a brake that fades at high speed even where a low limit precedes the stop.
         stop_use: Share of the surely available deceleration that station-stop braking is planned with.
         release: Jerk of the brake release, over the trainset's limit; a lower one takes longer.
+        let_go: Share of the planned deceleration below which the station stop began too early, and the policy
+            drives on. Where brakes have few notches, the one that suffices may be much stronger.
         late: Brake as late as the brakes surely allow: station-stop braking is planned with the gradient at
             each position instead of the worst one, and may begin within a period; the speed stays low
             enough to brake for a lower ceiling ahead.
@@ -71,6 +74,7 @@ class Assists:
     stop_mps2: float = 0.0
     stop_use: float = STOP_USE
     release: float = 0.5
+    let_go: float = LET_GO_SHARE
     late: bool = False
 
     def __post_init__(self) -> None:
@@ -148,7 +152,8 @@ def apply_assists(
         ceiling = limits.command_for(ceiling_mps2(assists, context, dt))
         command = xp.minimum(command, ceiling)
     if assists.stop:
-        stopping, wanted = stop_mps2(context, stopping, dt, stop_options(assists.release))
+        options = stop_options(assists.release)
+        stopping, wanted = stop_mps2(context, stopping, dt, options, assists.let_go)
         if xp is scalars and not stopping:
             return command, False
         entering = False
@@ -194,7 +199,7 @@ def ceiling_mps2(assists: Assists, context: FeatureContext, dt: float) -> Scalar
 
 
 def stop_mps2(
-    context: FeatureContext, stopping: Flag, dt: float, options: StopOptions
+    context: FeatureContext, stopping: Flag, dt: float, options: StopOptions, let_go: float
 ) -> tuple[Flag, Scalar]:
     """State of the station stop, and the deceleration it needs now, m/s^2.
 
@@ -203,6 +208,7 @@ def stop_mps2(
         stopping: Whether it was on.
         dt: Control period, s.
         options: Constants of the stop.
+        let_go: See :class:`Assists`.
     """
     xp, vehicle = context.xp, context.vehicle
     v, a, s = context.speed_mps, context.acceleration_mps2, context.length_m - context.position_m
@@ -216,7 +222,7 @@ def stop_mps2(
         return False, 0.0
     short = (v <= 0) & (s > options.inch_m)
     demand = stop_deceleration(v, a, s, curve, dt, options)
-    early = (demand.required_mps2 < LET_GO_SHARE * planned) & (demand.falling_mps3 <= 0) & (s > LAST_M)
+    early = (demand.required_mps2 < let_go * planned) & (demand.falling_mps3 <= 0) & (s > LAST_M)
     stopping = (stopping & (early ^ True) | begins) & (short ^ True)
     return stopping, xp.where(v > 0, demand.wanted_mps2, options.hold_mps2)
 

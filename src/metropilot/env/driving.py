@@ -204,6 +204,8 @@ class DrivingTask(AbstractTask):
             acceleration_mps2=plant.acceleration_mps2,
             before_mps2=state.plant.acceleration_mps2,
             speed_mps=plant.speed_mps,
+            command=after.command,
+            command_before=state.command,
         )
         terms = {term.name: term.value(change) for term in config.rewards}
         reward = sum(terms.values(), jnp.zeros((), jnp.float32))

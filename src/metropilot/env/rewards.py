@@ -31,6 +31,8 @@ class PeriodChange(NamedTuple):
         acceleration_mps2: Acceleration at the end.
         before_mps2: Acceleration at the end of the decision before.
         speed_mps: Speed at the end.
+        command: Command at the end.
+        command_before: Command at the end of the decision before.
     """
 
     wheel_j: Scalar
@@ -47,6 +49,8 @@ class PeriodChange(NamedTuple):
     acceleration_mps2: Scalar
     before_mps2: Scalar
     speed_mps: Scalar
+    command: Scalar
+    command_before: Scalar
 
 
 class AbstractTerm(ABC):

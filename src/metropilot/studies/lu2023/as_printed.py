@@ -12,6 +12,7 @@ import numpy as np
 from metropilot.env import Assists, DisturbanceDistribution, DrivingTask, OnTime
 from metropilot.studies.learning import LearnJob
 from metropilot.studies.lu2023.env import (
+    CONTROL_S,
     AccelerationComfort,
     EffortEnergy,
     Moving,
@@ -19,7 +20,6 @@ from metropilot.studies.lu2023.env import (
     StopWindow,
 )
 from metropilot.studies.lu2023.setting import (
-    CONTROL_S,
     EPISODES,
     MARGIN,
     ON_THE_WAY,
@@ -144,7 +144,7 @@ SETTINGS = (
     PrintedSetting(
         "state (3.3.1)",
         "position, speed, running time",
-        "position, speed, time left, reserve over the flat-out run, limits ahead",
+        "position, speed, time left, reserve over the flat-out run, limits ahead, last command",
     ),
     PrintedSetting(
         "decision (Table 4)",
@@ -167,7 +167,7 @@ SETTINGS = (
     PrintedSetting(
         "lateness allowed (eq. 15)",
         "3 s",
-        "2.5 s while learning",
+        "0.5 s while learning, then a price",
     ),
     PrintedSetting(
         "filter (3.3.4)",
@@ -186,7 +186,7 @@ SETTINGS = (
     PrintedSetting(
         "episodes",
         "not printed; settled after 800 and 1,100",
-        "60,000 decisions",
+        "240,000 decisions",
         f"{CUT['paper']:,} (quick: {CUT['quick']}).",
     ),
     PrintedSetting(

@@ -9,6 +9,7 @@ import numpy as np
 
 from metropilot._typing import Array
 from metropilot.env import (
+    PERMITTED_COLUMN,
     AbstractAction,
     AbstractTerm,
     ActionSpace,
@@ -20,6 +21,12 @@ from metropilot.physics import command_for_force, effort_at, namespace, resistan
 
 LU2023_N = (-149e3, -132e3, -99e3, -66e3, -33e3, 0.0, 34e3, 68e3, 102e3, 136e3, 170e3, 180e3)
 """The twelve actions of Lu23 Table 3."""
+CONTROL_S = 0.2
+"""Control period."""
+SHARES = (1 / 3, 2 / 3, 1.0)
+"""Where in a decision the speed is compared with the permitted one."""
+ON_CURVE, LAST_M = 0.6, 3.0
+"""Share of the planned deceleration from which it is a station stop, and where its last metres begin."""
 ROUNDING_N = 200.0
 """Tolerance within which a force equals a notch, for single precision."""
 
@@ -34,6 +41,11 @@ class NotchForceAction(AbstractAction):
         in_time: Mask choices after which even the flat-out run would be late (Lu23 section 3.3.4).
         margin: Relative allowance on the flat-out time in this mask, for the margin to protection and the
             steps of the notches.
+        most_mps2: Largest acceleration and deceleration that a chosen notch may cause, m/s^2 (a_lim of Lu23
+            eq. 18); 0: any.
+        below_mps: Mask choices after which the trainset would come nearer to protection's permitted speed
+            than this within the decision, m/s, so that the ceiling assist need not change notches; 0: none.
+        late_brake: Brake to the stop by notches that are not stronger than needed, until the last metres.
     """
 
     kind = "notch_forces"
@@ -41,6 +53,9 @@ class NotchForceAction(AbstractAction):
     notches_n: tuple[float, ...] = LU2023_N
     in_time: bool = True
     margin: float = 0.05
+    most_mps2: float = 0.0
+    below_mps: float = 0.0
+    late_brake: bool = False
 
     def __post_init__(self) -> None:
         """Check that the table contains traction, coasting and braking."""
@@ -48,8 +63,11 @@ class NotchForceAction(AbstractAction):
         if 0.0 not in notches or list(notches) != sorted(set(notches)) or not notches[0] < 0 < notches[-1]:
             allowed = "increasing forces in N, the first below 0, 0 among them, the last above 0"
             raise InputError("no table of notches", field="notches_n", value=str(notches), allowed=allowed)
-        if not 0.0 <= self.margin <= 1.0:
-            raise InputError("out of range", field="margin", value=self.margin, allowed="0 to 1")
+        for name, high in (("margin", 1.0), ("most_mps2", 5.0), ("below_mps", 5.0)):
+            if not 0.0 <= getattr(self, name) <= high:
+                raise InputError(
+                    "out of range", field=name, value=getattr(self, name), allowed=f"0 to {high:g}"
+                )
 
     @property
     def space(self) -> ActionSpace:
@@ -63,31 +81,66 @@ class NotchForceAction(AbstractAction):
         return command_for_force(context.vehicle, context.speed_mps, force_n)
 
     def hold(self, context: FeatureContext, action: Array, command: Array) -> Array:
-        """The same force at another speed."""
+        """The same force at another speed; a weaker notch where a gradient makes it too strong."""
         del command
-        return self.command(context, action, 0.0)
+        if not self.most_mps2:
+            return self.command(context, action, 0.0)
+        xp, (notches, _, gentle) = context.rows.xp, self._effects(context)
+        chosen = notches[action]
+        traction = xp.max(xp.where(gentle & (notches <= chosen), notches, 0.0))
+        brake = xp.min(xp.where(gentle & (notches >= chosen), notches, 0.0))
+        force_n = xp.where(chosen > 0.0, traction, brake)
+        return command_for_force(context.vehicle, context.speed_mps, force_n)
 
     def action_mask(self, context: FeatureContext, period_s: float) -> Array | None:
-        """Mask of the choices after which the trainset can still arrive in time; the last is always allowed.
+        """Mask of the choices that are gentle, stay below protection, and can still arrive in time.
 
-        The state after one decision at each notch (with the resistance at the present state) and the
-        flat-out time from there are compared with the time left (Lu23 section 3.3.4, steps a to c:
-        ``T - t_k < t_lim`` chooses again). The flat-out time is that of the plant with its resistance and
-        limits, not of a speed that changes at once.
+        The state after one decision at each notch is taken with the resistance at the present state. The
+        flat-out time from there is compared with the time left (Lu23 section 3.3.4, steps a to c:
+        ``T - t_k < t_lim`` chooses again); it is that of the plant with its resistance and limits, not of a
+        speed that changes at once. Where no choice is in time, the strongest of the others is allowed; where
+        all come too near to protection, the strongest gentle brake.
         """
-        if not self.in_time:
+        if not (self.in_time or self.most_mps2 or self.below_mps):
             return None
+        xp, v = context.rows.xp, context.speed_mps
+        notches, rate, allowed = self._effects(context)
+        if self.below_mps:
+            strongest = notches == xp.min(xp.where(allowed, notches, 0.0))
+            allowed = allowed & (self._stays_below(context, rate, period_s) | strongest)
+        if not self.in_time:
+            return allowed
+        after = xp.maximum(v + rate * period_s, 0.0)
+        left_m = xp.maximum(context.left_m - 0.5 * (v + after) * period_s, 0.0)
+        to_go = context.rows.to_go_s(context.case, left_m, context.length_m, after)
+        in_time = context.left_s - period_s >= (1.0 + self.margin) * to_go
+        return allowed & (in_time | (notches >= xp.max(xp.where(allowed, notches, notches[0]))))
+
+    def _effects(self, context: FeatureContext) -> tuple[Array, Array, Array]:
+        """Notches, N, the acceleration that each causes here, m/s^2, and if it is gentle; coasting is."""
         xp, vehicle, v = context.rows.xp, context.vehicle, context.speed_mps
         resistance, gradient = resistance_and_gradient(vehicle, context.track, context.position_m, v)
         effort = effort_at(vehicle, v)
         notches = xp.asarray(self.notches_n, np.float32)
         force = xp.clip(notches, -effort.brake_n, effort.traction_n)
         rate = (force - resistance - gradient) / vehicle.effective_mass_kg
-        after = xp.maximum(v + rate * period_s, 0.0)
-        left_m = xp.maximum(context.left_m - 0.5 * (v + after) * period_s, 0.0)
-        to_go = context.rows.to_go_s(context.case, left_m, context.length_m, after)
-        in_time = context.left_s - period_s >= (1.0 + self.margin) * to_go
-        return in_time | (notches >= notches[-1])
+        most = self.most_mps2 or np.inf
+        return notches, rate, xp.where(notches > 0.0, rate, -rate) <= xp.where(notches == 0.0, np.inf, most)
+
+    def _stays_below(self, context: FeatureContext, rate: Array, period_s: float) -> Array:
+        """Tell for each notch if the ceiling assist would let it pass to the end of the decision."""
+        xp, rates, v = context.rows.xp, context.rates, context.speed_mps
+        ahead_s = rates.reaction_s + CONTROL_S
+        rise = xp.maximum(rate, 0.0) * ahead_s * rates.mass_high / rates.mass_low
+        least = context.permitted_mps - v + 0.0 * rate
+        for share in SHARES:
+            passed_s = share * period_s
+            after = xp.maximum(v + rate * passed_s, 0.0)
+            x = context.position_m + 0.5 * (v + after) * passed_s
+            for at in (x, x + after * ahead_s):
+                permitted = context.rows.curve_at(PERMITTED_COLUMN, context.case, at)
+                least = xp.minimum(least, permitted - after - rise)
+        return least >= self.below_mps + rates.speed_error_mps
 
     def round(self, context: FeatureContext, command: Array) -> Array:
         """The notch for a command the assists have changed: the weakest brake that is strong enough.
@@ -100,8 +153,34 @@ class NotchForceAction(AbstractAction):
         reached = xp.clip(notches, -effort.brake_n, effort.traction_n)
         # the strongest notch not above what is wanted: a weaker pull, or a stronger brake
         index = xp.sum(reached <= wanted + ROUNDING_N) - 1
+        if self.late_brake:
+            steady, stops = self._steady_brake(context, notches)
+            chosen = xp.min(xp.abs(reached - wanted)) <= ROUNDING_N  # a notch of the policy's own
+            index = xp.where(stops & (wanted < 0.0) & (index >= 0) & (chosen ^ True), steady, index)
         notch = command_for_force(context.vehicle, context.speed_mps, notches[xp.maximum(index, 0)])
         return xp.where(index >= 0, notch, command)
+
+    def _steady_brake(self, context: FeatureContext, notches: Array) -> tuple[Array, Array]:
+        """Index of the notch for the deceleration that the stop needs, and if this is a station stop.
+
+        The brake alone counts, as resistance is gone at the end. The notch in force stays until the next
+        stronger one is not too strong, or half of it suffices to the next weaker one.
+        """
+        xp, vehicle, v = context.rows.xp, context.vehicle, context.speed_mps
+        _, gradient = resistance_and_gradient(vehicle, context.track, context.position_m, v)
+        needed_mps2 = 0.5 * v * v / xp.maximum(context.left_m, LAST_M)
+        force_n = -(needed_mps2 * vehicle.effective_mass_kg - gradient)
+        in_force_n = effort_at(vehicle, v).force_n(context.command)
+        index = xp.minimum(xp.sum(notches < force_n - ROUNDING_N), notches.size - 1)
+        stronger = xp.maximum(index - 1, 0)
+        keeps = (xp.abs(in_force_n - notches[stronger]) <= ROUNDING_N) & (
+            force_n <= 0.5 * (notches[index] + notches[stronger])
+        )
+        index = xp.where(keeps, stronger, index)
+        gentle = self._effects(context)[2][index]
+        index = xp.where(gentle, index, xp.minimum(index + 1, notches.size - 1))
+        stops = (needed_mps2 >= ON_CURVE * context.stop_mps2) & (context.left_m > LAST_M)
+        return index, stops
 
 
 @final
@@ -191,3 +270,23 @@ class Moving(AbstractTerm):
         """Bonus where the speed is above zero."""
         xp = namespace(change.speed_mps)
         return xp.where(change.speed_mps > 0.0, self.bonus, 0.0 * change.speed_mps)
+
+
+@final
+@dataclass(frozen=True)
+class RegimeSwitch(AbstractTerm):
+    """Price of a decision that changes between traction, coasting and braking (counted in Lu23 Fig. 9).
+
+    Attributes:
+        price: Price of a change.
+    """
+
+    name = "regime_switch"
+    price: float = 2.0
+
+    def value(self, change: PeriodChange) -> Array:
+        """Minus the price where the sign of the command is another one than after the decision before."""
+        xp = namespace(change.speed_mps)
+        now, before = change.command, change.command_before
+        switched = ((now > 0.0) ^ (before > 0.0)) | ((now < 0.0) ^ (before < 0.0))
+        return xp.where(switched, -self.price, 0.0 * now)

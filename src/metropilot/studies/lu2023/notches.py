@@ -38,6 +38,7 @@ HIGHEST_PRICE_WPKG = 1e3
 BISECTIONS = 40
 CLOSE_S = 2e-3
 INFEASIBLE = 1e9
+JUMP = 1e-6
 
 
 @dataclass(frozen=True)
@@ -48,17 +49,20 @@ class NotchOptions:
         spacing_m: Largest segment; a notch is held over a segment.
         speeds: Speed nodes at each position.
         brake_weight: Price of braking work over that of traction work; 1 counts both (Lu23 eq. 16).
+        most_mps2: Largest acceleration by traction and deceleration by braking, m/s^2; coasting has none.
     """
 
     spacing_m: float = 4.0
     speeds: int = 600
     brake_weight: float = 0.0
+    most_mps2: float = 5.0
 
     def __post_init__(self) -> None:
         for name, low, high in (
             ("spacing_m", 0.2, 50.0),
             ("speeds", 20, 10_000),
             ("brake_weight", 0.0, 10.0),
+            ("most_mps2", 0.5, 5.0),
         ):
             value = getattr(self, name)
             if not low <= value <= high:
@@ -208,6 +212,11 @@ class _Problem:
         """Acceleration and force per kg under every notch over segment ``k``. Both of shape (V, K)."""
         return _rates(self.table, self.mesh, k, energy[:, None], self.notches[None, :])
 
+    def too_strong(self, rate: ndarray) -> ndarray:
+        """Tell which notches accelerate or brake more than allowed. Shape (V, K)."""
+        most = self.options.most_mps2
+        return np.where(self.notches > 0.0, rate > most, (self.notches < 0.0) & (rate < -most))
+
     def _moves(self) -> Moves:
         mesh, count = self.mesh, self.last + 1
         cap = self._cap()
@@ -219,6 +228,7 @@ class _Problem:
             energy = cap[k] * share**2
             rate, force = self.rates(k, energy)
             lower[k], way[k], time_s[k] = self._reach(k, energy[:, None], rate, cap[k + 1])
+            time_s[k][self.too_strong(rate)] = np.inf
             work[k] = self._work(force, mesh.length_m[k])
         return Moves(cap, share, lower, way, time_s, work)
 
@@ -242,21 +252,25 @@ class _Problem:
         return lower, way, taken
 
     def _cap(self) -> ndarray:
-        """Largest ``v^2/2`` up to the last segment: the limits, and braking by the strongest notch."""
+        """Largest ``v^2/2`` up to the last segment: the limits, and the strongest allowed brake."""
         mesh, strongest = self.mesh, self.notches[:1]
         energy = 0.5 * mesh.cap_mps[: self.last + 1] ** 2
         resting = float(self.table.davis[0]) + self.stop_drag
-        energy[-1] = min(energy[-1], (resting - float(strongest[0])) * self.stop_m)
+        most = min(resting - float(strongest[0]), self.options.most_mps2)
+        energy[-1] = min(energy[-1], most * self.stop_m)
         for k in range(self.last - 1, -1, -1):
 
             def excess(before: float, k: int = k) -> float:
-                rate, _force = _rates(self.table, mesh, k, np.array([before]), strongest)
-                return before + float(rate[0]) * mesh.length_m[k] - energy[k + 1]
+                rate = self.rates(k, np.array([before]))[0]
+                least = float(rate[~self.too_strong(rate)].min())
+                return before + least * mesh.length_m[k] - energy[k + 1]
 
             # the energy from which the strongest notch just leads to the next cap; a fall may take all of it
             low, high = energy[k + 1], energy[k + 1] + 3.0 * mesh.length_m[k]
             if excess(low) < 0.0:
-                low = brentq(excess, low, high, xtol=1e-11)
+                low = float(np.asarray(brentq(excess, low, high, xtol=1e-11)))
+                if excess(low) > JUMP:  # just beyond the energy up to which the strongest notch is allowed
+                    low -= 2e-11
             energy[k] = min(energy[k], low)
         return energy
 
@@ -302,6 +316,7 @@ class _Problem:
             here = np.array([energy[-1]])
             rate, force = self.rates(k, here)
             lower, way, taken = self._reach(k, here[:, None], rate, cap[k + 1])
+            taken = np.where(self.too_strong(rate), np.inf, taken)
             later = values[k + 1]
             cost = (
                 later[lower] + (later[lower + 1] - later[lower]) * way + self._work(force, mesh.length_m[k])

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from metropilot.env import (
+    Assists,
     DisturbanceDistribution,
     DrivingConfig,
     DrivingTask,
@@ -12,10 +13,12 @@ from metropilot.env import (
 )
 from metropilot.railway import Section, load_line, load_trainset
 from metropilot.studies.lu2023.env import (
+    CONTROL_S,
     AccelerationComfort,
     EffortEnergy,
     Moving,
     NotchForceAction,
+    RegimeSwitch,
     StopWindow,
 )
 
@@ -98,24 +101,31 @@ def plan_case(plan_id: str) -> PlanCase:
 TRAINSET, NOTCHES = "lu2023", "lu2023"
 LINES = ("lu2023", "lu2023-restricted")
 """The section without and with 55 km/h from 600 to 930 m."""
-PERIOD_S, CONTROL_S = 3.0, 0.2
-MARGIN = 0.06
-"""Relative margin on the filter's flat-out time: the distance to protection costs 4 to 5 %."""
-IN_HAND_S = 0.5
-"""Reduction of the permitted lateness (3 s) during learning."""
+PERIOD_S = 3.0
+MARGIN = 0.03
+"""Relative margin on the filter's flat-out time, for protection and the steps of the notches."""
+MOST_MPS2 = 0.8
+"""Largest acceleration and deceleration in the paper."""
+ASSISTS = Assists(margin_mps=0.05, stop_use=0.97, let_go=0.3)
+"""Station-stop braking by the two strongest notches, close to the trainset's best."""
+LATE_S, SOFT_S = 0.5, 2.0
+"""Lateness that earns the whole bonus while learning, and the one over which it is lost (the paper: 3 s)."""
 ALL_TIMES_S = (118.0, 142.0)
 ON_THE_WAY, LEFT_RATIO = 0.8, (1.0, 1.7)
 """Share of episodes that begin between stations, and their range of time left over flat-out time to go."""
 REWARDS = (
-    OnTime(bonus=1000.0, allowed_s=3.0 - IN_HAND_S),
+    OnTime(bonus=1000.0, allowed_s=LATE_S, soft_s=SOFT_S),
     EffortEnergy(),
     StopWindow(),
     AccelerationComfort(),
     Moving(),
+    RegimeSwitch(),
 )
-"""Lu23 eqs. 15 to 20."""
-STATE = ("position", "speed", "time_left", "reserve", "permitted_ahead")
+"""Lu23 eqs. 15 to 20, and a price of changes between traction, coasting and braking."""
+STATE = ("position", "speed", "time_left", "reserve", "permitted_ahead", "command")
 """Position, speed, time left, the filter's reserve (time left beyond flat-out time to go), limits ahead."""
+ACTION = NotchForceAction(margin=MARGIN, most_mps2=MOST_MPS2, below_mps=0.06, late_brake=True)
+"""The notches, and which of them can be chosen."""
 
 
 def task_config() -> DrivingConfig:
@@ -125,8 +135,9 @@ def task_config() -> DrivingConfig:
         trainsets=(load_trainset(TRAINSET),),
         scenarios=_times(ALL_TIMES_S),
         observer=STATE,
-        action=NotchForceAction(in_time=True, margin=MARGIN),
+        action=ACTION,
         rewards=REWARDS,
+        assists=ASSISTS,
         dt=CONTROL_S,
         periods=round(PERIOD_S / CONTROL_S),
         most_decisions=75,
@@ -135,7 +146,7 @@ def task_config() -> DrivingConfig:
 
 def without_filter(config: DrivingConfig) -> DrivingConfig:
     """Remove the minimum-arrival-time filter from a task."""
-    return replace(config, action=NotchForceAction(in_time=False, margin=MARGIN))
+    return replace(config, action=replace(ACTION, in_time=False))
 
 
 def plan_task(plan: PlanCase, *, filtered: bool) -> DrivingTask:

@@ -10,6 +10,8 @@ from metropilot.evaluate import make_driver
 from metropilot.studies.learning import write_policy
 from metropilot.studies.lu2023.as_printed import AS_PRINTED
 from metropilot.studies.lu2023.drives import (
+    ABOVE_ANY,
+    ABOVE_GENTLE,
     SPAN_M,
     NotchRun,
     arrival_rows,
@@ -29,6 +31,7 @@ from metropilot.studies.lu2023.setting import (
     CONVERGENCE,
     EPISODES,
     FASTER_PERCENT,
+    MOST_MPS2,
     PLANS,
     RULES,
     TABLE,
@@ -47,9 +50,6 @@ if TYPE_CHECKING:
 STOP, LATE, ENERGY = "stopping error", "time error", "wheel traction energy"
 PID = "pid_lu2023"
 FASTER, CHANCE = "converges faster than DQN", "p of that it converges as fast as DQN (log-rank)"
-GAP = "wheel traction above the optimum over the notches"
-LIMIT_MPS2 = 0.8
-"""Largest acceleration in the paper."""
 
 
 def _claim(plan: str, kpi: str, words: str) -> Claim:
@@ -76,12 +76,15 @@ CLAIMS = (
 )
 
 DEVIATIONS = paragraphs("""
-The stop is not learned. Station-stop braking follows the stop curve of the task's assist, with the
-weakest sufficient notch of the paper, five times a second; the network decides everything before it and
-may brake earlier. The paper does not explain how its network stops within 0.3 m.
+The stop is not learned. Station-stop braking follows the stop curve of the task's assist by the notches
+of the paper: the one in force stays until the next stronger one is not too strong, or half of it suffices
+to the next weaker one. The network decides everything before it and may brake earlier. The paper does not
+explain how its network stops within 0.3 m.
 
-Traction that would exceed protection's permitted speed is reduced notch by notch (the ceiling assist),
-and protection supervises; the paper ends the episode instead.
+A notch that would accelerate or brake by more than 0.8 m/s2, the paper's largest acceleration, cannot be
+chosen, nor one after which the trainset would come too near to protection's permitted speed within the
+decision; the paper has rewards for both, and ends the episode above the limit. Where a gradient still makes
+it necessary, the ceiling assist reduces traction notch by notch, and protection supervises.
 
 A decision is held for 3 s of 0.2 s control periods; the paper transfers its state after 0.2 s and 0.1 m
 (both are always exceeded here except at standstill), and discounts by 0.98 per transfer, so that the
@@ -96,21 +99,25 @@ normalised by their running mean and deviation; a memory of 40,000; 0.5 gradient
 eight parallel environments. Of these the paper gives only the learning rate. DQN and improved DQN use the
 same values.
 
-A network learns for 60,000 decisions, about 2,000 episodes; the networks of the plan with the restriction
-and of all plans for 160,000. Every one of six seeds (ten where convergence is compared, three for all plans)
-is driven; the driver that is shipped is the median seed.
+A network learns for 240,000 decisions, about 8,000 episodes; the networks of the plan with the restriction
+and of all plans for 600,000. Every seed is driven (five for all plans); the driver that is shipped is the
+median seed.
 
 Epsilon falls from 0.5 (paper: 0.8) to 0.05 over the first 30 % of the run.
 
 Most episodes start during the run, with a time left between the flat-out time and 1.7 times it, so that a
 network meets every state; the paper starts each at the origin. Evaluations start from standstill.
 
-Eq. 15 is learned with 2.5 s instead of 3 s, for a margin of half a second on the host.
+Eq. 15 is learned with half a second instead of 3 s, and its bonus turns into a price over two further seconds
+instead of at once: with 3 s at no price the arrival is as late as that allows.
+
+A change between traction, coasting and braking from one decision to the next costs 2, as much as 0.06 kWh;
+the paper has no such price, and counts them in Fig. 9. The last command is observed for it.
 
 Eq. 18 prints P + a for gentle accelerations, which rewards acceleration: P - |a| here, P = 1, L = -10 and
 a_lim = 0.8 m/s2 assumed; r_v = 0.01 assumed.
 
-The flat-out time of the filter is that of the plant with resistance and limits, 6 % longer to keep clear
+The flat-out time of the filter is that of the plant with resistance and limits, 3 % longer to keep clear
 of protection; the paper's changes speed at once and has no resistance.
 
 Prioritised replay draws by proportional priority with exponent 0.6 (paper: 1) and corrects by importance
@@ -135,17 +142,23 @@ def remarks(rows: Sequence[ReportRow], *, budget: str) -> list[str]:
             (row.ours for row in among if row.kpi == kpi and row.ours is not None), default=float("nan")
         )
 
-    stop, late, over, above = (worst(kpi, plans) for kpi in (STOP, LATE, "largest overspeed", GAP))
+    stop, late, over = (worst(kpi, plans) for kpi in (STOP, LATE, "largest overspeed"))
     hard, jerk = worst("largest acceleration", plans), worst("largest jerk", plans)
-    kept = "within" if hard <= LIMIT_MPS2 + 0.005 else "beyond"
+    kept = "within" if hard <= MOST_MPS2 + 0.005 else "beyond"
+
+    def above(among: Sequence[ReportRow], kpi: str = ABOVE_GENTLE) -> str:
+        found = {row.case: row.ours for row in among if row.kpi == kpi and row.ours is not None}
+        return ", ".join(f"{value:.1f} % ({case})" for case, value in found.items())
+
     said = [
         (
             f"The plans of Table 5 stop within {stop:.2f} m and {late:.1f} s, at most {over:.2f} m/s "
-            f"over the limit, and need at most {above:.1f} % more wheel traction energy than the optimum "
-            "over the notches."
+            "over the limit. They need more wheel traction energy than the optimum over the notches within "
+            f"{MOST_MPS2:g} m/s² by {above(plans)}; than that with any acceleration by "
+            f"{above(plans, ABOVE_ANY)}."
         ),
         (
-            f"Their largest acceleration is {hard:.2f} m/s², {kept} the paper's {LIMIT_MPS2:g}, their "
+            f"Their largest acceleration is {hard:.2f} m/s², {kept} the paper's {MOST_MPS2:g}, their "
             f"largest jerk {jerk:.1f} m/s³, and they change between traction, coasting and braking at most "
             f"{worst(switches, plans):.0f} times in {SPAN_M:.0f} m (the paper's PID 13, here {PID} "
             f"{worst(switches, pid):.0f})."
@@ -163,7 +176,7 @@ def remarks(rows: Sequence[ReportRow], *, budget: str) -> list[str]:
         said.append(
             "One network that observes the time left and the limits ahead drives all four plans "
             f"within {worst(STOP, beyond):.2f} m and {worst(LATE, beyond):.1f} s, "
-            f"at most {worst(GAP, beyond):.1f} % above the optimum."
+            f"above that optimum by {above(beyond)}."
         )
     if budget == "paper":
         said.append(RULE)
@@ -202,8 +215,7 @@ QUICK_STEPS = 8_000
 COMPARED = ("120", "130")
 ABLATED = "120"
 ABLATION_SEEDS = 5
-PLAN_SEEDS = 6
-ALL_SEEDS = 3
+ALL_SEEDS = 5
 LEARNERS = {"dqn": "all", "improved_dqn": ""}
 Runs = dict[str, dict[str, list["SeedResult"]]]
 
@@ -230,12 +242,12 @@ def reproduce(order: Order) -> StudyReport:
         for seed in seeds
     ]
     if paper:
-        some, few = (range(min(len(seeds), most)) for most in (PLAN_SEEDS, ALL_SEEDS))
+        few = range(min(len(seeds), ALL_SEEDS))
         jobs += [
             plan_job("improved_dqn", plan, seed, steps=ALL_STEPS if plan.restricted else LEARNING.steps)
             for plan in PLANS
             if plan.id not in compared
-            for seed in some
+            for seed in seeds
         ]
         jobs += [all_plans_job(driver, seed) for driver in LEARNERS for seed in few]
         jobs += [
