@@ -26,6 +26,7 @@ from metropilot.studies.chen2023a.setting import (
     ALLOWED_S,
     COMFORT,
     DECISION_S,
+    IN_HAND_S,
     REWARDS,
     make_assisted,
     make_evaluation,
@@ -39,7 +40,7 @@ CHUNKS = 40
 def test_the_registered_task_is_what_the_study_assumes():
     config = task_config("chen2023a")
     terms = {type(term): term for term in config.rewards}
-    assert terms[OnTime].allowed_s == ALLOWED_S
+    assert terms[OnTime].allowed_s == ALLOWED_S - IN_HAND_S
     assert terms[Comfort].weight == COMFORT
     assert config.dt * config.periods == DECISION_S
     assert config.scenarios.time_s == (published.PRESCRIBED_S, published.PRESCRIBED_S)
@@ -63,9 +64,9 @@ def test_a_step_costs_its_energy_and_its_change_of_acceleration():
 @pytest.mark.parametrize(
     ("end", "total"),
     [
-        ({"arrived": True, "late_s": 8.0}, 100.0),  # 88 s: the threshold itself is in time
-        ({"arrived": True, "late_s": 10.0}, 0.0),  # half of the 4 s over which the bonus turns
-        ({"arrived": True, "late_s": 12.0}, -100.0),
+        ({"arrived": True, "late_s": 7.5}, 100.0),  # half a second in hand
+        ({"arrived": True, "late_s": 9.5}, 0.0),  # half of the 4 s over which the bonus turns
+        ({"arrived": True, "late_s": 11.5}, -100.0),
         ({"arrived": True, "late_s": 99.0}, -100.0),
         ({"arrived": True, "late_s": -12.0}, -100.0),  # eq. 17 takes the size of the deviation
         ({"arrived": False, "late_s": 0.0, "error_m": -500.0}, -100.0 - 100.0 - 50.0),

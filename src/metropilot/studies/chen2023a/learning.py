@@ -149,5 +149,5 @@ def jobs(
     ]
 
 
-SETTING = 2
+SETTING = 3
 """Version of the task; increment it when the task changes, so that stored runs are repeated."""

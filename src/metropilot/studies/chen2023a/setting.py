@@ -55,20 +55,23 @@ ENERGY_ORDER = ("ddpg", "ppo_scaled", "ppo")
 IMPACT_ORDER = ("ddpg", "ppo_scaled", "ppo")
 """Highest mean impact rate first (figs. 17 to 19)."""
 
+ALLOWED_S = THRESHOLD_S - PRESCRIBED_S
+IN_HAND_S = 0.5
+"""Part of the time allowed that is not used while learning."""
 SOFT_S = 4.0
 """Time over which the bonus of a late run turns into its negative."""
 REWARDS = (
     Energy(),
     Comfort(weight=0.1),
-    OnTime(bonus=100.0, allowed_s=8.0, soft_s=SOFT_S),
+    OnTime(bonus=100.0, allowed_s=ALLOWED_S - IN_HAND_S, soft_s=SOFT_S),
     Failure(price=100.0, per_m=0.1),
 )
-"""Chen23a eqs. 16 and 17 with two changes. The bonus of a late run falls evenly, not at once: the least
-energy is just within the time allowed, and noise of exploration crosses a sharp edge. The last term is added:
+"""Chen23a eqs. 16 and 17 with two changes. The bonus of a late run falls evenly, not at once, and from half a
+second before the time allowed: the least energy is just within what is allowed, and noise of exploration
+crosses a sharp edge. The last term is added:
 the paper's train always arrives, at worst late; without it standing still would have the largest return of
 all late runs."""
 ACTION = RegimeAction()
-ALLOWED_S = THRESHOLD_S - PRESCRIBED_S
 DECISION_S = 1.0
 COMFORT = 0.1
 UNASSISTED_TOLERANCE_M = 5.0
