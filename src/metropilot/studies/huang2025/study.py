@@ -74,8 +74,9 @@ Rule 4 is implemented as: no power beyond the speed that coasts to the next lowe
 while the minimum-time curve leaves time for it.
 
 A trainset that would be early even when coasting brakes gently (0.5 m/s²), as the paper's EITOP does in
-Fig. 11; here EITOE does so, too. Inside the window, which eqs. 15 and 16 do not define, EITOE powers
-until it would arrive on time, then coasts.
+Fig. 11; here EITOE does so, too. Traction above the window ends as quickly as the trainset may, not by
+steps of eq. 15: what it adds is braked away again. Inside the window, which eqs. 15 and 16 do not define,
+EITOE powers until it would arrive on time, then coasts.
 
 One interval of rule 3 is the control period of 0.2 s; the paper decides every 0.02 s, which has a row
 of its own. From the safe speed on (eqs. 17 and 18) the brake follows that speed's fall at 0.85 m/s²
