@@ -46,7 +46,7 @@ CASES = {
     "ddpg": (
         DDPGConfig(**SMALL, **MEMORY, actor_rate=3e-3, critic_rate=1e-2),
         1_000,
-        lambda learner, state, x: q_of_policy(learner, state.networks.params, x),
+        lambda learner, state, x: q_of_policy(learner, state.networks.params, x).min(),
     ),
     "sac": (
         SACConfig(

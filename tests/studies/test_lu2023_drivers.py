@@ -1,5 +1,7 @@
 """Driving by notches on the host: the filter keeps any policy in time, and nothing but notches is given."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -31,20 +33,24 @@ def restless(observation, mask):
 
 
 @pytest.mark.parametrize("policy", [lazy, restless])
-def test_any_policy_is_in_time_by_notches_alone(policy):
-    # at 115 s there are 11 s to idle away at the origin: fewer than the 20 s that count as stalled
-    found = drive(run(115.0), LearnedDriver(policy, task_config("lu2023").interface))
+@pytest.mark.parametrize(("changes", "late_s"), [({"most_mps2": 0.0, "margin": 0.06}, 3.0), ({}, 5.0)])
+def test_any_policy_is_in_time_by_notches_alone(policy, changes, late_s):
+    # at 115 s there are 11 s to idle away at the origin: fewer than the 20 s that count as stalled; the
+    # filter does not know the largest acceleration
+    interface = task_config("lu2023").interface
+    interface = replace(interface, action=replace(interface.action, **changes))
+    found = drive(run(115.0), LearnedDriver(policy, interface))
     kpis = kpis_of(found, None)
     assert found.outcome is Outcome.ARRIVED
     assert abs(kpis.stopping_error_m) <= 0.3
-    assert abs(kpis.time_error_s) <= 3.0
+    assert abs(kpis.time_error_s) <= late_s
     assert kpis.max_overspeed_mps == 0.0
     t = found.trajectory
     force = (t.traction_n - t.electric_brake_n - t.friction_brake_n)[:-2]
     nearest = np.abs(force[:, None] - NOTCHES[None, :]).min(axis=1)
     # above 54 km/h the strongest pulls give what there is; the last step holds whatever stops it
     below = (nearest > 1.0) & ~((force > 86e3) & (t.speed_mps[:-2] > 14.0))
-    assert not below.any()
+    assert below.sum() <= kpis.interventions  # protection has no notches
 
 
 def random_policy(path):

@@ -27,6 +27,8 @@ SHARES = (1 / 3, 2 / 3, 1.0)
 """Where in a decision the speed is compared with the permitted one."""
 ON_CURVE, LAST_M = 0.6, 3.0
 """Share of the planned deceleration from which it is a station stop, and where its last metres begin."""
+ROOM_MPS = 0.3
+"""Distance to the permitted speed below which braking may be that of the ceiling assist."""
 ROUNDING_N = 200.0
 """Tolerance within which a force equals a notch, for single precision."""
 
@@ -180,6 +182,7 @@ class NotchForceAction(AbstractAction):
         gentle = self._effects(context)[2][index]
         index = xp.where(gentle, index, xp.minimum(index + 1, notches.size - 1))
         stops = (needed_mps2 >= ON_CURVE * context.stop_mps2) & (context.left_m > LAST_M)
+        stops = stops & (v <= context.permitted_mps - ROOM_MPS)  # else it may be the ceiling that brakes
         return index, stops
 
 

@@ -118,7 +118,8 @@ Eq. 18 prints P + a for gentle accelerations, which rewards acceleration: P - |a
 a_lim = 0.8 m/s2 assumed; r_v = 0.01 assumed.
 
 The flat-out time of the filter is that of the plant with resistance and limits, 3 % longer to keep clear
-of protection; the paper's changes speed at once and has no resistance.
+of protection; the paper's changes speed at once and has no resistance. It does not know the largest
+acceleration, which costs up to 4 s where a policy waits as long as the filter lets it.
 
 Prioritised replay draws by proportional priority with exponent 0.6 (paper: 1) and corrects by importance
 weights (paper eq. 13: a learning rate per sample).
@@ -152,7 +153,7 @@ def remarks(rows: Sequence[ReportRow], *, budget: str) -> list[str]:
 
     said = [
         (
-            f"The plans of Table 5 stop within {stop:.2f} m and {late:.1f} s, at most {over:.2f} m/s "
+            f"The plans of Table 5 stop within {stop:.3f} m and {late:.1f} s, at most {over:.2f} m/s "
             "over the limit. They need more wheel traction energy than the optimum over the notches within "
             f"{MOST_MPS2:g} m/s² by {above(plans)}; than that with any acceleration by "
             f"{above(plans, ABOVE_ANY)}."
@@ -175,7 +176,7 @@ def remarks(rows: Sequence[ReportRow], *, budget: str) -> list[str]:
     if beyond:
         said.append(
             "One network that observes the time left and the limits ahead drives all four plans "
-            f"within {worst(STOP, beyond):.2f} m and {worst(LATE, beyond):.1f} s, "
+            f"within {worst(STOP, beyond):.3f} m and {worst(LATE, beyond):.1f} s, "
             f"above that optimum by {above(beyond)}."
         )
     if budget == "paper":
