@@ -1,41 +1,33 @@
 // The handle on the bar of the arrival, in the lane of time of a run: dragged up and down, in whole seconds.
 (() => {
-  const EVERY_MS = 80, LEAST_PX = 44;
+  const LEAST_PX = 44;
 
   window.MetropilotArrival = class extends MetropilotPicture {
     constructor(root, chart) {
       super(root, chart);
       this.held = null;
-      this.handle = document.createElement("div");
-      this.handle.className = "mp-arrival";
-      this.handle.ariaHidden = "true";  // keyboards have the slider and the field
-      this.handle.append(document.createElement("span"));
-      this.handle.addEventListener("pointerdown", (e) => this.take(e));
-      this.handle.addEventListener("pointermove", (e) => this.move(e));
-      for (const name of ["pointerup", "pointercancel"]) this.handle.addEventListener(name, () => this.leave());
+      this.bar = this.handle("mp-arrival", (e) => this.take(e));
+      this.bar.append(document.createElement("span"));
     }
 
     // At its bar wherever the picture is drawn anew; hidden where the picture's arrival cannot be dragged.
     place() {
       const el = document.getElementById("c" + this.chart), full = el && el._fullLayout;
       if (!full || !full.yaxis4 || !full.yaxis4._length) return;
-      if (this.handle.parentElement !== el) el.append(this.handle);
+      if (this.bar.parentElement !== el) el.append(this.bar);
       const told = (el.layout.meta || {}).arrival, { xaxis, yaxis4 } = full;
       Object.assign(this, { told, axis: yaxis4 });
-      if (!told) { this.held = null; this.handle.hidden = true; return; }
+      if (!told) { this.held = null; this.bar.hidden = true; return; }
       const left = xaxis.d2p(told.from_m), right = xaxis.d2p(told.to_m), width = Math.max(right - left, LEAST_PX);
       const top = yaxis4.d2p(told.time_s);
-      this.handle.hidden = this.held === null && (right < 0 || right > xaxis._length + 1 || top < 0 || top > yaxis4._length);
-      this.handle.style.left = `${xaxis._offset + right - width}px`; this.handle.style.width = `${width}px`;
+      this.bar.hidden = this.held === null && (right < 0 || right > xaxis._length + 1 || top < 0 || top > yaxis4._length);
+      this.bar.style.left = `${xaxis._offset + right - width}px`; this.bar.style.width = `${width}px`;
       this.at(this.held === null ? told.time_s : this.held);
     }
 
-    at(time_s) { this.handle.style.top = `${this.axis._offset + this.axis.d2p(time_s)}px`; }
+    at(time_s) { this.bar.style.top = `${this.axis._offset + this.axis.d2p(time_s)}px`; }
 
     take(e) {
-      if (e.button) return;
-      e.preventDefault(); e.stopPropagation();
-      this.handle.setPointerCapture(e.pointerId);
       this.held = this.sent = this.told.time_s;
       this.offset = e.clientY - this.axis.d2p(this.held);
     }
@@ -44,9 +36,9 @@
       if (this.held === null) return;
       const top = Math.floor(Math.max(...this.axis.range)), { least_s, most_s } = this.told;
       this.held = Math.min(Math.max(Math.round(this.axis.p2d(e.clientY - this.offset)), least_s), most_s, top);
-      this.handle.dataset.time = `${this.held} s`;
+      this.bar.dataset.time = `${this.held} s`;
       this.at(this.held);
-      if (!this.timer) this.timer = setTimeout(() => { this.timer = null; this.send(); }, EVERY_MS);
+      this.soon(() => this.send());
     }
 
     leave() {
@@ -54,7 +46,7 @@
       this.send();
       const last = this.held;
       this.held = null;
-      delete this.handle.dataset.time;
+      delete this.bar.dataset.time;
       metropilot.release(last);
     }
 

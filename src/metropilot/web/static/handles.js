@@ -1,6 +1,6 @@
 // Handles on the speed limits and stations of a line that is edited: dragged along the line, or up and down.
 (() => {
-  const EVERY_MS = 80, EDGE_PX = 12, LEVEL_PX = 18, STATION_PX = 24, GRID_KMH = 5, GRID_M = 10, FINE_M = 1, FINE_M_PER_PX = 0.5;
+  const EDGE_PX = 12, LEVEL_PX = 18, STATION_PX = 24, GRID_KMH = 5, GRID_M = 10, FINE_M = 1, FINE_M_PER_PX = 0.5;
 
   const clamp = (value, low, high) => Math.min(Math.max(value, low), high);
 
@@ -23,15 +23,7 @@
       });
     }
 
-    make(k) {
-      const handle = document.createElement("div");
-      handle.className = "mp-handle";
-      handle.ariaHidden = "true";  // keyboards have the tables
-      handle.addEventListener("pointerdown", (e) => this.take(e, k));
-      handle.addEventListener("pointermove", (e) => this.move(e));
-      for (const name of ["pointerup", "pointercancel"]) handle.addEventListener(name, () => this.leave());
-      return handle;
-    }
+    make(k) { return this.handle("mp-handle", (e) => this.take(e, k)); }
 
     put(handle, told) {
       const along = (m) => this.x.d2p(m / 1000), up = (kmh) => this.y.d2p(kmh), width = this.x._length, height = this.y._length;
@@ -52,9 +44,6 @@
     }
 
     take(e, k) {
-      if (e.button) return;
-      e.preventDefault(); e.stopPropagation();
-      this.all[k].setPointerCapture(e.pointerId);
       const told = this.told[k], level = told.kind === "speed";
       const offset = level ? e.clientY - this.y.d2p(told.kmh) : e.clientX - this.x.d2p(told.from_m / 1000);
       const value = level ? told.kmh : told.from_m;
@@ -76,7 +65,7 @@
       }
       this.all[held.k].dataset.value = level ? `${held.value} km/h` : `${held.value} m`;
       this.put(this.all[held.k], { ...told, ...held.at });
-      if (!this.timer) this.timer = setTimeout(() => { this.timer = null; this.send(false); }, EVERY_MS);
+      this.soon(() => this.send(false));
     }
 
     leave() {

@@ -1,7 +1,28 @@
 // What runs on the server, in the browser: numbers, news and a picture that follow its stream of events.
 (() => {
+  const EVERY_MS = 80;
+
   window.MetropilotPicture = class {
     constructor(root, chart) { Object.assign(this, { root, chart, todo: [] }); }
+
+    // What is dragged by the pointer, in the picture; keyboards have fields and tables for it.
+    handle(className, take) {
+      const handle = document.createElement("div");
+      handle.className = className;
+      handle.ariaHidden = "true";
+      handle.addEventListener("pointerdown", (e) => {
+        if (e.button) return;
+        e.preventDefault(); e.stopPropagation();
+        handle.setPointerCapture(e.pointerId);
+        take(e);
+      });
+      handle.addEventListener("pointermove", (e) => this.move(e));
+      for (const name of ["pointerup", "pointercancel"]) handle.addEventListener(name, () => this.leave());
+      return handle;
+    }
+
+    // While it is dragged, what is sent is sent now and then.
+    soon(send) { if (!this.sending) this.sending = setTimeout(() => { this.sending = null; send(); }, EVERY_MS); }
 
     static snap(value, grid) { return Math.round(value / grid) * grid; }
 
