@@ -138,6 +138,8 @@ def test_notches_that_stay_below_the_permitted_speed():
     assert not near[7:].any()
     assert above[0]  # the strongest brake can always be chosen
     assert not above[6:].any()
+    waiting = lu2023_sight(speed_mps=F(0.0), position_m=F(0.0), time_s=F(0.0))
+    assert action.action_mask(waiting, 3.0).tolist() == [False] * 6 + [True] * 6
     # in time or not, nothing that comes too near is allowed
     late = lu2023_sight(speed_mps=F(permitted - 0.2), scheduled_s=F(51.0))
     mask = NotchForceAction(below_mps=0.1).action_mask(late, 3.0)

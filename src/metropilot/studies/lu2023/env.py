@@ -27,6 +27,8 @@ SHARES = (1 / 3, 2 / 3, 1.0)
 """Where in a decision the speed is compared with the permitted one."""
 ON_CURVE, LAST_M = 0.6, 3.0
 """Share of the planned deceleration from which it is a station stop, and where its last metres begin."""
+CRAWL_MPS = 1.0
+"""What ends a decision slower than this, short of the stop, cannot be chosen with ``below_mps``."""
 ROOM_MPS = 0.3
 """Distance to the permitted speed below which braking may be that of the ceiling assist."""
 ROUNDING_N = 200.0
@@ -110,6 +112,8 @@ class NotchForceAction(AbstractAction):
         if self.below_mps:
             strongest = notches == xp.min(xp.where(allowed, notches, 0.0))
             allowed = allowed & (self._stays_below(context, rate, period_s) | strongest)
+            moves = (notches > 0.0) | (v + rate * period_s > CRAWL_MPS)
+            allowed = allowed & (moves | (context.left_m <= LAST_M))
         if not self.in_time:
             return allowed
         after = xp.maximum(v + rate * period_s, 0.0)
