@@ -84,7 +84,8 @@ explain how its network stops within 0.3 m.
 A notch that would accelerate or brake by more than 0.8 m/s2, the paper's largest acceleration, cannot be
 chosen, nor one after which the trainset would come too near to protection's permitted speed within the
 decision; the paper has rewards for both, and ends the episode above the limit. Nor can what ends a decision
-below 1 m/s, short of the stop: nobody waits on the way. Where a gradient still makes it necessary, the ceiling assist reduces traction notch by notch, and protection supervises.
+below 1 m/s, short of the stop: nobody waits on the way. Where a gradient still makes it necessary, the
+ceiling assist reduces traction notch by notch, and protection supervises.
 
 A decision is held for 3 s of 0.2 s control periods; the paper transfers its state after 0.2 s and 0.1 m
 (both are always exceeded here except at standstill), and discounts by 0.98 per transfer, so that the
