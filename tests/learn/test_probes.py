@@ -92,8 +92,8 @@ def q_of_policy(learner, params, x):
     return learner.values(params, x[None], action)[..., 0]
 
 
-@pytest.fixture(scope="module", params=CASES)
-def learned(request):
+@pytest.fixture(scope="module", params=CASES, name="learned")
+def learn_probes(request):
     """Values and actions of all probes at all observations, learned by one compiled program."""
     config, iterations, value = CASES[request.param]
     space = TWO_CHOICES if request.param in DISCRETE else CONTINUOUS

@@ -140,6 +140,9 @@ def test_notches_that_stay_below_the_permitted_speed():
     assert not above[6:].any()
     waiting = lu2023_sight(speed_mps=F(0.0), position_m=F(0.0), time_s=F(0.0))
     assert action.action_mask(waiting, 3.0).tolist() == [False] * 6 + [True] * 6
+    # too near to protection at a crawl: no pull is allowed, so braking is, though it ends in a standstill
+    crawl = lu2023_sight(position_m=F(1400.0), speed_mps=F(0.5))
+    assert NotchForceAction(in_time=False, below_mps=5.0).action_mask(crawl, 90.0).any()
     # in time or not, nothing that comes too near is allowed
     late = lu2023_sight(speed_mps=F(permitted - 0.2), scheduled_s=F(51.0))
     mask = NotchForceAction(below_mps=0.1).action_mask(late, 3.0)

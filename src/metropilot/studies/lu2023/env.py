@@ -112,8 +112,8 @@ class NotchForceAction(AbstractAction):
         if self.below_mps:
             strongest = notches == xp.min(xp.where(allowed, notches, 0.0))
             allowed = allowed & (self._stays_below(context, rate, period_s) | strongest)
-            moves = (notches > 0.0) | (v + rate * period_s > CRAWL_MPS)
-            allowed = allowed & (moves | (context.left_m <= LAST_M))
+            moves = (notches > 0.0) | (v + rate * period_s > CRAWL_MPS) | (context.left_m <= LAST_M)
+            allowed = xp.where(xp.any(allowed & moves), allowed & moves, allowed)
         if not self.in_time:
             return allowed
         after = xp.maximum(v + rate * period_s, 0.0)

@@ -154,9 +154,10 @@ def remarks(rows: Sequence[ReportRow], *, budget: str) -> list[str]:
 
     said = [
         (
-            f"The plans of Table 5 stop within {stop:.3f} m and {late:.1f} s, at most {over:.2f} m/s "
-            "over the limit. They need more wheel traction energy than the optimum over the notches within "
-            f"{MOST_MPS2:g} m/s² by {above(plans)}; than that with any acceleration by "
+            "Medians over the seeds: the plans of Table 5 stop within "
+            f"{stop:.3f} m and {late:.1f} s, at most {over:.2f} m/s over the limit. They need more wheel "
+            f"traction energy than the optimum over the notches within {MOST_MPS2:g} m/s² by "
+            f"{above(plans)}; than that with any acceleration by "
             f"{above(plans, ABOVE_ANY)}."
         ),
         (
