@@ -29,7 +29,13 @@ from metropilot.learn.imitation.demonstrations import (
     collect_shard,
     load_demonstrations,
 )
-from metropilot.learn.imitation.train_state import apply_gradient, imitation_spec, labels, new_train_state
+from metropilot.learn.imitation.train_state import (
+    apply_gradient,
+    hide_features,
+    imitation_spec,
+    labels,
+    new_train_state,
+)
 from metropilot.learn.imitation.training import train_in_parts
 from metropilot.physics import at_rest, to_jax, vehicle_arrays
 from metropilot.policy import act
@@ -272,6 +278,21 @@ def test_a_gradient_that_is_not_finite_changes_nothing():
     assert seen.shape == (1,)
 
 
+def test_a_feature_that_is_hidden_changes_nothing():
+    room = DemonstrationGenerator(domain_sample(1, 2), 1.3)
+    names = room.column_names()
+    seen = room.observe(np.array([10.0, 30.0]), np.array([80.0, 400.0]), np.array([9.0, 14.0]))
+    assert len(names) == seen.shape[1]
+    config = config_from_mapping("teacher", {"hidden": [4], "unseen": ["coasting", "speed"]})
+    spec = imitation_spec(config, len(names))
+    pupil = hide_features(new_train_state(config, 0, seen), [name in config.unseen for name in names])
+    before = act(spec, pupil.params, jnp.asarray(seen[0]))
+    for k, name in enumerate(names):
+        other = seen[0].copy()
+        other[k] += 1.0
+        assert (act(spec, pupil.params, jnp.asarray(other)) == before).all() == (name in config.unseen), name
+
+
 TINY = {
     "worlds": 4,
     "plans": 2,
@@ -323,6 +344,9 @@ def test_a_course_that_was_stopped_ends_the_same(few_worlds, tmp_path, monkeypat
 
 def test_the_teacher_knows_only_worlds():
     config = config_from_mapping("teacher", TINY)
+    blind = replace(config, unseen=("colour",))
+    with pytest.raises(InputError, match="unknown feature"):
+        train_in_parts(blind, DrivingTask(task_config("worlds")), 0, TrainingOptions())
     with pytest.raises(InputError, match="demonstrations exist only for random sections"):
         train_in_parts(config, DrivingTask(task_config("drive")), 0, TrainingOptions())
 

@@ -345,6 +345,7 @@ class TeacherConfig(AbstractConfig):
         decisions: Driven in one closed-loop gradient step: many short drives or a few long ones.
         imitation_weight: Of the imitation's loss in closed loop.
         late_per_s: Price of a second off time beyond what it costs anyway, as a share of the energy.
+        unseen: Features that the policy does not see, for an ablation.
     """
 
     algorithm: ClassVar[str] = "teacher"
@@ -368,6 +369,7 @@ class TeacherConfig(AbstractConfig):
     decisions: int = declare(38_400, low=9_600)
     imitation_weight: float = declare(0.3, low=0.0)
     late_per_s: float = declare(0.04, low=0.0)
+    unseen: tuple[str, ...] = ()
 
 
 CONFIGS: dict[str, type[AbstractConfig]] = {
@@ -452,6 +454,8 @@ def _convert(key: str, value: Any, hint: Any) -> Any:
         kind, fits = "one of " + ", ".join(get_args(hint)), value in get_args(hint)
     elif hint is bool:
         kind, fits = "true or false", isinstance(value, bool)
+    elif hint is str:
+        kind, fits = "words", isinstance(value, str)
     elif hint is int:
         kind, fits = "a whole number", isinstance(value, int) and not isinstance(value, bool)
     else:

@@ -114,8 +114,28 @@ class DemonstrationGenerator:
         speed_mps: Float[ndarray, " states"],
     ) -> Float[ndarray, "states features"]:
         """Features of the policy in these states, single precision."""
+        context = self._context(time_s, position_m, speed_mps)
+        values = [
+            np.broadcast_to(v, position_m.shape)
+            for name in FEATURE_NAMES
+            for v in FEATURES.get(name)(context)
+        ]
+        return np.stack(values, axis=1).astype(np.float32)
+
+    def column_names(self) -> list[str]:
+        """Feature that each number of an observation belongs to."""
+        start = np.zeros(1)
+        context = self._context(start, start, start)
+        return [name for name in FEATURE_NAMES for _ in FEATURES.get(name)(context)]
+
+    def _context(
+        self,
+        time_s: Float[ndarray, " states"],
+        position_m: Float[ndarray, " states"],
+        speed_mps: Float[ndarray, " states"],
+    ) -> FeatureContext:
         case, nothing = self.case, np.zeros_like(position_m)
-        context = FeatureContext(
+        return FeatureContext(
             rows=self.rows,
             case=0,
             vehicle=case.vehicle,
@@ -132,12 +152,6 @@ class DemonstrationGenerator:
             command=nothing,
             work_share=DOMAIN_ASSISTS.work_share,
         )
-        values = [
-            np.broadcast_to(v, position_m.shape)
-            for name in FEATURE_NAMES
-            for v in FEATURES.get(name)(context)
-        ]
-        return np.stack(values, axis=1).astype(np.float32)
 
     def commands(self, plan: Plan, position_m: Float[ndarray, " states"]) -> Float[ndarray, " states"]:
         """The command that does what a plan does over the next metres, in [-1, 1].

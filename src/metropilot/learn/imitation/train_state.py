@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax
@@ -61,6 +62,13 @@ def new_train_state(config: TeacherConfig, seed: int, observations: Float[ndarra
     statistics = (mean, 1.0 / deviation)
     known = {name: jnp.asarray(v, jnp.float32) for name, v in zip(STATISTICS, statistics, strict=True)}
     return TrainState(params | known, adam)
+
+
+def hide_features(train_state: TrainState, hidden: Sequence[bool]) -> TrainState:
+    """The policy without some numbers of its observation: they are zero, whatever they are."""
+    shown = jnp.asarray(~np.asarray(hidden), jnp.float32)
+    scale = {STATISTICS[1]: train_state.params[STATISTICS[1]] * shown}
+    return train_state._replace(params=train_state.params | scale)
 
 
 def reset_optimiser(train_state: TrainState) -> TrainState:

@@ -32,7 +32,9 @@ from metropilot.learn.compile_cache import keep_compiled
 from metropilot.learn.config import TeacherConfig
 from metropilot.learn.imitation.closed_loop import ClosedLoop, Tuning, drives_of
 from metropilot.learn.imitation.demonstrations import (
+    FEATURE_NAMES,
     SPACING_M,
+    DemonstrationGenerator,
     Demonstrations,
     DemonstrationSet,
     collect_missing,
@@ -41,6 +43,7 @@ from metropilot.learn.imitation.demonstrations import (
 from metropilot.learn.imitation.train_state import (
     TrainState,
     apply_gradient,
+    hide_features,
     imitation_loss,
     imitation_spec,
     labels,
@@ -120,6 +123,14 @@ def train_in_parts(
             policy is no share of effort.
     """
     require_random_sections(task)
+    unknown = set(config.unseen) - set(FEATURE_NAMES)
+    if unknown:
+        raise InputError(
+            "unknown feature",
+            field="unseen",
+            value=", ".join(sorted(unknown)),
+            allowed=", ".join(FEATURE_NAMES),
+        )
     if options.evaluate is None:
         raise InputError("the course is judged by drives", field="evaluate")
     keep_compiled()
@@ -161,7 +172,7 @@ class _Training:
             self._collect(dataset)
             demonstrations, numbers = load_demonstrations(dataset)
             if not log.chunks_done:
-                standing = _begin(new_train_state(config, self.seed, demonstrations.observations))
+                standing = _begin(self._new_train_state(demonstrations.observations))
             part = self._parts(demonstrations, numbers)
             while log.chunks_done < self._count:
                 start = time.perf_counter()
@@ -171,6 +182,13 @@ class _Training:
         self._remove_demonstrations(dataset)
         policy = Policy(spec, round_weights(standing.best))
         return TrainingResult(policy, float(standing.best_score), log.history, log.seconds, 0.0)
+
+    def _new_train_state(self, observations: np.ndarray) -> TrainState:
+        state = new_train_state(self.config, self.seed, observations)
+        if not self.config.unseen:
+            return state
+        names = DemonstrationGenerator(domain_sample(self.seed, 0), 1.0).column_names()
+        return hide_features(state, [name in self.config.unseen for name in names])
 
     def _collect(self, dataset: DemonstrationSet) -> None:
         """Collect demonstrations that are not there yet; none once the learning has begun."""
