@@ -13,7 +13,10 @@ from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, cast
+from unittest.mock import patch
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 
 from benchmarks.beside_optimum import Result, table
@@ -22,17 +25,21 @@ from benchmarks.generalist import (
     IDEAL,
     LIMITED,
     SEEDS,
+    Case,
     cases,
     drive_all,
+    drive_case,
     is_success,
     spread,
     target_gap,
     wide_cases,
 )
 from benchmarks.report import circumstances, write_section
+from metropilot.control import Model, PredictedState, StateEstimate, look_ahead
 from metropilot.learn import DrivingEvaluation, evaluation_of, new_request
-from metropilot.policy import load_driving_policy, shipped_policy
+from metropilot.policy import load_driving_policy, load_policy, policy_path, shipped_policy
 
+QUARTER = {"steps": 12_000_000, "batches": 10_000}
 HEADS = (
     "learned with",
     "seed",
@@ -46,11 +53,13 @@ HEADS = (
     "other trainsets: in time and place",
     "median / 95th / worst %",
 )
+PRESENT = "as shipped, the policy in the present state"
 TEXT = """### Seeds and ablation
 
 The policy shipped is that of the seed that is best in **its own worlds**: {drives} drives on {worlds} random
-sections with random trainsets at the end of learning, the same for every seed. Then each drives {line} runs
-of the first table and {wide} with other trainsets, which chose nothing.
+sections with random trainsets, the same for every seed. Then each drives {line} runs
+of the first table and {wide} with other trainsets, which chose nothing. A quarter of the budget is
+{quarter:,} decisions and {batches:,} steps of imitation; a feature that a policy is without is always zero.
 
 {table}
 
@@ -61,21 +70,31 @@ of the first table and {wide} with other trainsets, which chose nothing.
 
 def learned_with(about: Any) -> str:  # noqa: ANN401 (what a policy's file says)
     """Options of the learning run in words."""
-    words = about["provenance"]["command"].split()
-    kept = [f"{a} {b}" for a, b in pairwise(words) if a in {"--set", "--steps"}]
-    if about["provenance"]["steps"] <= about["config"]["decisions"]:
+    words, config = about["provenance"]["command"].split(), about["config"]
+    if about["provenance"]["steps"] <= config["decisions"]:
         return "imitation alone"
-    if about["config"]["batches"] == 1 and about["config"]["imitation_weight"] == 0.0:
+    if config["batches"] == 1 and config["imitation_weight"] == 0.0:
         return "closed loop alone"
+    if config["batches"] == QUARTER["batches"] and config["steps"] == QUARTER["steps"]:
+        unseen = ", ".join(f"`{name}`" for name in config.get("unseen", ()))
+        return f"a quarter of the budget{unseen and ', without ' + unseen}"
+    kept = [f"{a} {b}" for a, b in pairwise(words) if a in {"--set", "--steps"}]
     return f"`{' '.join(kept)}`" if kept else "as shipped"
+
+
+def own_worlds(path: Path) -> dict[str, float]:
+    """KPIs of a policy in the worlds that choose the seed, driven with the code of now."""
+    evaluate = jax.jit(cast("DrivingEvaluation", evaluation_of(new_request(DRIVER))))
+    policy, _ = load_policy(path)
+    params = {name: jnp.asarray(value) for name, value in policy.params.items()}
+    return {name: float(value) for name, value in evaluate(params, jax.random.key(0)).items()}
 
 
 def row(path: Path, shipped: bool, line: Sequence[Result], wide: Sequence[Result]) -> list[str]:
     """One policy's row of the table."""
     about: Any = load_driving_policy(path).about
-    kpis = about["kpis"]
+    kpis = own_worlds(policy_path(path))
     seed = f"{about['seed']}{' (shipped)' if shipped else ''}"
-    by_name = {name: [r for r in line if r.case.scenario == name] for name in (IDEAL, LIMITED)}
     return [
         learned_with(about),
         seed,
@@ -83,11 +102,37 @@ def row(path: Path, shipped: bool, line: Sequence[Result], wide: Sequence[Result
         f"{kpis['gap_percent']:.2f}",
         f"{kpis['gap_worst_percent']:.1f}",
         f"{kpis['late_worst_s']:.2f}",
-        f"{sum(map(is_success, line))} of {len(line)}",
-        *(spread([target_gap(r) for r in some]) for some in by_name.values()),
+        *driven(line, wide),
+    ]
+
+
+def driven(line: Sequence[Result], wide: Sequence[Result]) -> list[str]:
+    """Columns of the runs that chose nothing."""
+    by_name = {name: [r for r in line if r.case.scenario == name] for name in (IDEAL, LIMITED)}
+    return [
+        f"{sum(map(is_success, line))} of {len(line)}" if line else "–",
+        *(spread([target_gap(r) for r in some]) if some else "–" for some in by_name.values()),
         f"{sum(map(is_success, wide))} of {len(wide)}",
         spread([target_gap(r) for r in wide]),
     ]
+
+
+def drive_in_present(cases: Sequence[Case]) -> list[Result]:
+    """Drive with a policy that sees the present state, not that in which its command begins to act.
+
+    Stop, ceiling and the look at protection predict as ever.
+    """
+
+    def look_at_present(model: Model, estimate: StateEstimate) -> PredictedState:
+        return look_ahead(model, estimate)._replace(
+            seconds=0.0,
+            position_m=estimate.position_m,
+            speed_mps=estimate.speed_mps,
+            acceleration_mps2=estimate.acceleration_mps2,
+        )
+
+    with patch("metropilot.drivers.learned.look_ahead", look_at_present):
+        return [result for case in cases if (result := drive_case(case))]
 
 
 def main() -> None:
@@ -108,11 +153,15 @@ def main() -> None:
         done = drive_all([*parts[0], *parts[1]], options.processes, options.rows)
         found = [[done[case] for case in part if case in done] for part in parts]
         rows.append(row(path or shipped_policy(DRIVER), path is None, *found))
+    late = drive_in_present(wide)
+    rows.insert(1, [PRESENT, *("–",) * 5, *driven([], late)])
     commits = {load_driving_policy(path).about["provenance"]["commit"][:9] for path in options.runs}
     grid = cast("DrivingEvaluation", evaluation_of(new_request(DRIVER))).grid
     text = TEXT.format(
         drives=grid.case.size,
         worlds=np.unique(grid.case).size,
+        quarter=QUARTER["steps"],
+        batches=QUARTER["batches"],
         line=len(line),
         wide=len(wide),
         sample=options.sample,

@@ -338,7 +338,9 @@ def test_a_command_no_larger_than_what_is_on_its_way_needs_no_more():
 @pytest.mark.parametrize("gap_m", [4.0, 12.0, 20.0, 30.0])
 def test_an_acceleration_ends_before_the_gap_that_it_will_need(gap_m):
     seen = observe_follower(SLOW, speed_mps=12.0, pending=0.2, gap_m=gap_m, ahead_mps=12.0)
-    ahead = look_ahead(own_plant(vehicle_arrays(SLOW), DT)._replace(speed_mps=np.float64(12.0)), seen)
+    plant = own_plant(vehicle_arrays(SLOW), DT)
+    plant = plant._replace(motion=plant.motion._replace(speed_mps=np.float64(12.0)))
+    ahead = look_ahead(plant, seen)
     most = float(most_in_gap(seen, ahead))
     assert (most < 0.0) == (seen.gap_m < seen.needs.coasting_m)
     slower = float(most_in_gap(seen._replace(ahead_mps=np.float64(11.0)), ahead))
@@ -347,3 +349,32 @@ def test_an_acceleration_ends_before_the_gap_that_it_will_need(gap_m):
     assert braked < most
     prompt = seen._replace(vehicle=seen.vehicle._replace(delay_s=np.float64(0.0), lag_s=np.float64(0.0)))
     assert float(most_in_gap(prompt, ahead)) > 100.0
+
+
+@pytest.mark.parametrize(
+    ("follower", "trainset", "stops"),
+    [
+        ("follow_plan", "dkz32", ("RJ", "WYJ")),
+        ("follow_mpc", "dkz32", ("RJ", "WYJ")),
+        ("follow_plan", SLOW, ("RJ", "WYJ")),
+    ],
+)
+def test_noise_in_the_measured_speed_neither_jerks_nor_overrules(follower, trainset, stops):
+    """Noise made a crawl look like a standstill, and protection need more than was planned."""
+    asked = request(stops=stops, time_s=120.0, count=3, follower=follower)
+    noisy = tuple(Disturbance(mass_factor=factor, speed_noise_mps=0.03) for factor in (0.9, 1.2, 0.8))
+    asked = replace(asked, disturbances=noisy, head=replace(asked.head, seed=4))
+    convoy = asked.convoy()
+    convoy = convoy if isinstance(trainset, str) else replace(convoy, trainsets=(trainset,) * 3)
+    kpis = convoy_kpis(asked.drive(convoy), 120.0)
+    assert kpis.success, kpis.verdict
+
+
+def test_a_brake_that_takes_seconds_leaves_nobody_short_of_the_mark():
+    """The gap for a command grew with the command, so that the third crept and the fourth ran out of time."""
+    asked = request("ch_stadler_flirt_tpf", time_s=145.0, count=4)
+    asked = replace(asked, disturbances=masses(0.9, 1.2, 0.8, 1.1))
+    kpis = convoy_kpis(asked.drive(), 145.0)
+    for member in kpis.trainsets:
+        assert abs(member.stopping_error_m) <= 0.3, member
+        assert member.interventions == 0

@@ -17,9 +17,12 @@ from .coasting import cruise_for as cruise_for
 from .coasting import forecast_of as forecast_of
 from .coasting import time_to_go as time_to_go
 from .estimator import Estimate as Estimate
+from .estimator import MeasuredMotion as MeasuredMotion
 from .estimator import PlantEstimate as PlantEstimate
 from .estimator import StateEstimate as StateEstimate
 from .estimator import estimated_actuation as estimated_actuation
+from .estimator import first_motion as first_motion
+from .estimator import fuse_motion as fuse_motion
 from .estimator import initial_estimate as initial_estimate
 from .estimator import look_ahead as look_ahead
 from .estimator import look_along as look_along

@@ -34,7 +34,7 @@ from metropilot.control.prediction import (
     predict_motion,
     predict_path,
 )
-from metropilot.physics import Vehicle, curve_n, effort_limits
+from metropilot.physics import Vehicle, curve_n, effort_limits, namespace
 from metropilot.protection import Memory
 
 MAX_EXTRA_DELAY_S = 1.0
@@ -106,6 +106,24 @@ class Estimate(NamedTuple):
     sigma: float
     low: float
     high: float
+
+
+class MeasuredMotion(NamedTuple):
+    """Position and speed as estimated, with their covariance. All 0-d.
+
+    Attributes:
+        position_m: Position.
+        speed_mps: Speed.
+        position_variance: Variance of the position.
+        covariance: Covariance of both.
+        speed_variance: Variance of the speed.
+    """
+
+    position_m: Scalar
+    speed_mps: Scalar
+    position_variance: Scalar
+    covariance: Scalar
+    speed_variance: Scalar
 
 
 class PlantEstimate(NamedTuple):
@@ -373,12 +391,14 @@ def update_estimate(
     bank, best, variance = estimate.bank, estimate.best, estimate.variance
     if not overruled:
         bank, best, variance = _learn(model, estimate, float(acceleration_mps2))
-    position, speed, covariance = _fuse(model.dt, estimate, position_m, speed_mps, float(acceleration_mps2))
+    known = MeasuredMotion(estimate.position_m, estimate.speed_mps, *estimate.covariance)
+    measured = float(position_m), float(speed_mps), float(acceleration_mps2)
+    motion = MeasuredMotion(*map(float, fuse_motion(known, *measured, model.dt)))
     return estimate._replace(
-        position_m=position,
-        speed_mps=speed,
+        position_m=motion.position_m,
+        speed_mps=motion.speed_mps,
         acceleration_mps2=float(acceleration_mps2),
-        covariance=covariance,
+        covariance=motion[2:],
         bank=bank,
         best=best,
         variance=variance,
@@ -391,18 +411,34 @@ def record_command(estimate: StateEstimate, share: float) -> StateEstimate:
     return estimate._replace(commands=commands)
 
 
-def _fuse(
-    dt: float, estimate: StateEstimate, position_m: float, speed_mps: float, acceleration_mps2: float
-) -> tuple[float, float, tuple[float, float, float]]:
-    """Kalman filter of position and speed, with the measured acceleration of the period as its input."""
-    x = estimate.position_m + estimate.speed_mps * dt + 0.5 * acceleration_mps2 * dt * dt
-    v = estimate.speed_mps + acceleration_mps2 * dt
-    xx, xv, vv = estimate.covariance
+@no_type_check
+def first_motion(position_m: Scalar, speed_mps: Scalar) -> MeasuredMotion:
+    """Motion as first measured."""
+    zero = 0.0 * position_m
+    return MeasuredMotion(position_m, speed_mps, zero + POSITION_SIGMA_M**2, zero, zero + SPEED_SIGMA_MPS**2)
+
+
+@no_type_check
+def fuse_motion(
+    motion: MeasuredMotion, position_m: Scalar, speed_mps: Scalar, acceleration_mps2: Scalar, dt: Scalar
+) -> MeasuredMotion:
+    """Kalman filter of position and speed, with the measured acceleration of the period as its input.
+
+    Args:
+        motion: As estimated a period ago.
+        position_m: Measured position.
+        speed_mps: Measured speed, noisy.
+        acceleration_mps2: Acceleration over the period.
+        dt: Period, s.
+    """
+    x, v, xx, xv, vv = motion
+    x = x + v * dt + 0.5 * acceleration_mps2 * dt * dt
+    v = v + acceleration_mps2 * dt
     push = 0.5 * ANSWER_SIGMA_MPS2
     along, across = 0.5 * dt * dt * push, dt * push
-    xx += dt * (2.0 * xv + dt * vv) + along * along
-    xv += dt * vv + along * across
-    vv += across * across
+    xx = xx + (dt * (2.0 * xv + dt * vv) + along * along)
+    xv = xv + (dt * vv + along * across)
+    vv = vv + across * across
     # The errors of the two measurements are independent: one after the other is the same as both at once.
     scale, miss = xx + POSITION_SIGMA_M**2, position_m - x
     x, v = x + xx / scale * miss, v + xv / scale * miss
@@ -410,7 +446,7 @@ def _fuse(
     scale, miss = vv + SPEED_SIGMA_MPS**2, speed_mps - v
     x, v = x + xv / scale * miss, v + vv / scale * miss
     xx, xv, vv = xx - xv * xv / scale, xv - xv * vv / scale, vv - vv * vv / scale
-    return float(x), max(float(v), 0.0), (xx, xv, vv)
+    return MeasuredMotion(x, namespace(x, v).maximum(v, 0.0), xx, xv, vv)
 
 
 def _learn(model: Model, estimate: StateEstimate, answer: float) -> tuple[HypothesisBank, int, float]:

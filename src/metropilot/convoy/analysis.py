@@ -110,6 +110,10 @@ class StringGains(NamedTuple):
         return speed, gap
 
 
+BEYOND_S = 60.0
+"""Time for which a plan goes on after the motion that is measured."""
+
+
 def string_gains(
     convoy: Convoy,
     follower: AbstractFollower,
@@ -169,7 +173,8 @@ def _amplitudes(
     phase = 2.0 * np.pi * (times - SETTLE_S) / period_s
     speeds = rising + np.where(begun, swing * np.sin(phase), 0.0)
     commands = record_leader(*convoy.leader(), np.maximum(speeds, 0.0), dt).command
-    planned = np.concatenate([[0.0], rising, rising[-1:]])
+    # The plan goes on beyond the run: its end is a stop, for which the followers would brake.
+    planned = np.concatenate([[0.0], rising, np.full(round(BEYOND_S / dt), mean_mps)])
     way = np.concatenate([[0.0], np.cumsum(0.5 * dt * (planned[1:] + planned[:-1]))])
     plan = MotionPlan(np.float64(0.0), np.float64(dt), way, planned) if about.planned else None
     drive = drive_convoy(convoy, HeadRun("sine", commands, Outcome.OUT_OF_TIME, plan=plan), follower)

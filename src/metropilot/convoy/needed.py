@@ -26,8 +26,9 @@ KINK_S = 0.4
 """Time over which a planned acceleration is averaged: where a plan continues another one it has kinks."""
 DELAY_TRIALS, LONGEST_DELAY_S, SAME_S = 5, 8.0, 0.02
 """Steps to the delay that protection needs at a place; the longest; a step that is no longer worth one."""
-WORTH = 0.7
-"""Share of a lack of gap that a longer delay must bring it to."""
+WORTH, SLOW_SHARE = 0.7, 0.25
+"""Share of a lack of gap that a longer delay must bring it to; and speed of the trainset ahead, over the own
+one, below which none brings anything."""
 
 
 def silence_s(member: Member, dt: float) -> float:
@@ -116,7 +117,9 @@ class NeededGap:
             np.float64(self.age),
             self.member.bounds,
         )
-        spare = spare_gap(self.protection, memory, x, v, self.share[k], message)
+        # It takes the speed as measured, with an error that it allows for once more.
+        measured = v + self.protection.rates.speed_error_mps
+        spare = spare_gap(self.protection, memory, x, measured, self.share[k], message)
         growing = growing_m(self.member, v, rise[k], v - then.speed_mps, then.acceleration_mps2)
         needed = gap + FAR_M - spare + MARGIN_M + growing
         return needed, gap, then
@@ -153,7 +156,8 @@ def delay_along(need: NeededGap, row: int) -> Float[ndarray, " rows"]:
         lack_m = np.inf
         for _ in range(DELAY_TRIALS):
             needed, gap, then = need.gaps_m(k, float(times[k]) + delay)
-            if then.acceleration_mps2 < 0.0 and needed - gap > WORTH * lack_m:
+            nearly_stands = then.speed_mps < SLOW_SHARE * need.own.speed_mps[k] and needed > gap
+            if nearly_stands or (then.acceleration_mps2 < 0.0 and needed - gap > WORTH * lack_m):
                 # The trainset ahead stops meanwhile: waiting longer brings no gap.
                 break
             lack_m = max(needed - gap, 0.0)

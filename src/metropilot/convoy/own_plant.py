@@ -10,10 +10,13 @@ import numpy as np
 from metropilot._typing import Array, Scalar
 from metropilot.control import (
     Adaptation,
+    MeasuredMotion,
     Motion,
     PredictedState,
     acting_command,
     adapt_vehicle,
+    first_motion,
+    fuse_motion,
     predict_motion,
     weighs_load,
 )
@@ -25,10 +28,8 @@ SURE_MPS2 = 0.02
 MOVING_MPS = 0.05
 BELOW = 0.98
 """A change of acceleration below this share of the largest one is not made by the jerk limit."""
-SPEED_TRUST = 0.3
-"""Weight of a measured speed against the one integrated from the measured acceleration."""
-
-
+STANDS_MPS = 0.005
+"""Estimated speed up to which a measured speed of nothing means standstill, and not noise."""
 MASS_SIGMA, EFFORT_SIGMA, RESISTANCE_SIGMA = 0.12, 0.05, 0.4
 """Prior standard deviations: of the mass, of each gain apart from it, of the factor on resistance."""
 ANSWER_SIGMA_MPS2 = 0.02
@@ -51,8 +52,8 @@ class OwnPlant(NamedTuple):
         share: Command after dead time and lag. 0-d, as all below but the two of the gains.
         gains: Traction gain, brake gain, resistance factor. Shape (3,).
         covariance: Their covariance. Shape (3, 3).
-        position_m: Own position.
-        speed_mps: Own speed, filtered.
+        motion: Own position and speed, filtered; without variance before the first measurement.
+        stands: 1 once it has stood for a period, else 0.
         acceleration_mps2: Own acceleration over the period before.
     """
 
@@ -60,8 +61,8 @@ class OwnPlant(NamedTuple):
     share: Scalar
     gains: Array
     covariance: Array
-    position_m: Scalar
-    speed_mps: Scalar
+    motion: MeasuredMotion
+    stands: Scalar
     acceleration_mps2: Scalar
 
 
@@ -84,8 +85,8 @@ def own_plant(vehicle: Vehicle, period_s: float) -> OwnPlant:
         share=zero,
         gains=np.ones(3, kind),
         covariance=covariance.astype(kind),
-        position_m=zero,
-        speed_mps=zero,
+        motion=MeasuredMotion(*(zero,) * len(MeasuredMotion._fields)),
+        stands=kind(1.0),
         acceleration_mps2=zero,
     )
 
@@ -130,7 +131,8 @@ def learn(plant: OwnPlant, observation: FollowerObservation) -> OwnPlant:
     commands = push_command(plant.commands, observation.command)
     acting = acting_command(commands, xp.maximum(vehicle.delay_s / dt - 1e-6, 0.0))
     share = acting + (plant.share - acting) * kept_share(vehicle.lag_s, dt)
-    limits = effort_limits(vehicle, observation.track, plant.position_m, plant.speed_mps)
+    known = plant.motion
+    limits = effort_limits(vehicle, observation.track, known.position_m, known.speed_mps)
     features = join.stack(
         [
             xp.maximum(share, 0.0) * limits.traction_mps2,
@@ -144,19 +146,25 @@ def learn(plant: OwnPlant, observation: FollowerObservation) -> OwnPlant:
     # Nothing shows at the jerk limit, at a controlled rate, at standstill, or in the period of the stop.
     unlimited = xp.abs(answer - before) < BELOW * room
     controlled = answer < SURE_MPS2 - observation.most_mps2
-    moving = (plant.speed_mps > MOVING_MPS) & (observation.speed_mps > MOVING_MPS)
+    moving = (known.speed_mps > MOVING_MPS) & (observation.speed_mps > MOVING_MPS)
     learns = unlimited & (controlled ^ True) & moving
     gains, covariance = update_gains(plant.gains, plant.covariance, features, answer - free, learns)
-    integrated = plant.speed_mps + answer * dt
-    speed = integrated + SPEED_TRUST * (observation.speed_mps - integrated)
-    speed = xp.where(observation.speed_mps <= 0.0, 0.0 * speed, xp.maximum(speed, 0.0))
+    measured = observation.position_m, observation.speed_mps
+    fused = fuse_motion(known, *measured, answer, dt)
+    first, zero = first_motion(*measured), 0.0 * observation.position_m
+    begins = known.speed_variance <= 0.0
+    motion = MeasuredMotion(*(xp.where(begins, a, b) for a, b in zip(first, fused, strict=True)))
+    # A measured speed is never negative: at a crawl noise makes it nothing.
+    nothing = observation.speed_mps <= 0.0
+    stands = nothing & (answer == 0.0)
+    still = stands | (nothing & (motion.speed_mps <= STANDS_MPS))
     return plant._replace(
         commands=commands,
         share=share,
         gains=gains,
         covariance=covariance,
-        position_m=observation.position_m,
-        speed_mps=speed,
+        motion=motion._replace(speed_mps=xp.where(still, 0.0 * motion.speed_mps, motion.speed_mps)),
+        stands=xp.where(stands, 1.0, zero),
         acceleration_mps2=answer,
     )
 
@@ -176,7 +184,7 @@ def look_ahead(plant: OwnPlant, observation: FollowerObservation) -> PredictedSt
     xp = namespace(observation.position_m, vehicle.delay_s)
     # A dead time of whole periods stays whole: 0.14 / 0.02 is a little more than 7.
     steps, keep = xp.maximum(vehicle.delay_s / dt - 1e-6, 0.0), kept_share(vehicle.lag_s, dt)
-    motion = Motion(plant.position_m, plant.speed_mps, plant.acceleration_mps2, plant.share)
+    motion = Motion(plant.motion.position_m, plant.motion.speed_mps, plant.acceleration_mps2, plant.share)
     limits = effort_limits(vehicle, track, motion.position_m, motion.speed_mps)
     if plant.commands.shape[0] > 1:
         forces = (

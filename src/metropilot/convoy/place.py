@@ -50,8 +50,8 @@ and for each metre that it is behind: a large command takes a large gap."""
 FALL_BACK_MPS2 = 0.15
 """The most that it decelerates for it if its commands act late: the trainsets behind would have to decelerate
 more."""
-CLOSING_S = 20.0
-"""Time for closing a gap after the trainset ahead stands."""
+CLOSING_S, CLOSES_AFTER = 20.0, 20.0
+"""Time for closing a gap after the trainset ahead stands: least, and over the time that the brakes take."""
 CREEP_MPS, CREEP_M = 0.05, 0.2
 """Speed and distance with which a planned motion ends: it is shifted to the mark and does not creep there."""
 SHIFT_FROM_M, SHIFT_TO_M = 60.0, 1.0
@@ -84,7 +84,7 @@ def place_behind(
         planned_gap: Gap planned so far.
     """
     rows = ahead.position_m.size
-    ahead = stand_on(ahead, round(CLOSING_S / float(ahead.period_s)))
+    ahead = stand_on(ahead, round(_closing_s(member) / float(ahead.period_s)))
     times, dt = plan_times(ahead), float(ahead.period_s)
     rear = ahead.position_m - length_ahead_m
     first = min(max(round((now_s - times[0]) / dt), 0), times.size - 2)
@@ -110,6 +110,19 @@ def place_behind(
     # As long as that of the trainset ahead, or until it stands.
     rows = max(rows, moving[-1] + 2 if moving.size else 0)
     return own._replace(position_m=own.position_m[:rows], speed_mps=own.speed_mps[:rows])
+
+
+def _closing_s(member: Member) -> float:
+    """Time for closing a gap after the trainset ahead stands, s.
+
+    The way that protection admits shrinks as fast as the brakes answer: by its share every such time.
+    """
+    if member.protection is None:
+        return CLOSING_S
+    rates, believed = member.protection.rates, member.believed
+    builds_s = float(member.bounds.held_mps2) / min(float(rates.jerk_mps3), float(believed.jerk_mps3))
+    late_s = float(rates.reaction_s) + float(believed.delay_s + believed.lag_s)
+    return max(CLOSING_S, CLOSES_AFTER * (late_s + builds_s))
 
 
 def _motion_now(before_m: Float[ndarray, " known"], dt: float) -> PlannedMotion:

@@ -83,8 +83,10 @@ class FollowerObservation(NamedTuple):
         vehicle: Nominal plant.
         track: The section.
         gap_m: Extrapolated gap to the trainset ahead.
+        desired_gap_m: Desired gap.
         wanted_gap_m: Desired gap, or the gap that protection has needed lately if that is larger.
         needs: Gaps that protection needs now to pass commands, with a margin.
+        speed_error_mps: Largest error of the measured speed that protection allows for.
         held_mps2: Deceleration that it counts on: the gap needed grows by the own speed over it for each m/s.
         ahead_mps: Extrapolated speed of the trainset ahead.
         ahead_mps2: Its acceleration in the last message.
@@ -109,8 +111,10 @@ class FollowerObservation(NamedTuple):
     vehicle: Any
     track: Any
     gap_m: Array
+    desired_gap_m: Array
     wanted_gap_m: Array
     needs: NeededGaps
+    speed_error_mps: Array
     held_mps2: Array
     ahead_mps: Array
     ahead_mps2: Array
@@ -260,7 +264,8 @@ def update_needed_gap(member: Member, state: MemberState, now_s: Array, period_s
     # The gap needed grows with a command, and more and more: between two it is no more than their mean.
     coasting_m, pulling_m, half_m = (gap_needed_for(zero + part) for part in (0.0, 1.0, HALF))
     share = xp.clip(state.command + SPARE_SHARE, 0.0, 1.0)
-    now_m = coasting_m + share * (pulling_m - coasting_m)
+    now_m = coasting_m + share / HALF * (half_m - coasting_m)
+    now_m = xp.maximum(now_m, pulling_m - (1.0 - share) / (1.0 - HALF) * (pulling_m - half_m))
     now_m = xp.where(member.is_head, 0.0, now_m)
     rate = FADING_MPS + xp.maximum(state.needed_gap_m - LONG_M, 0.0) / FADING_S
     faded_m = state.needed_gap_m - rate * period_s
@@ -341,7 +346,7 @@ def observe_member(
     now = extrapolate(message, now_s)
     rear = now.rear_m
     apart = plant.position_m >= member.uncouple_at_m
-    zero = 0.0 * rear
+    desired_m, zero = xp.where(apart, member.apart_m, member.gap_m), 0.0 * rear
     off = (zero, zero, zero)
     if plans is not None:
         planned = plan_at(plans.ahead, message.stamp_s)
@@ -360,8 +365,10 @@ def observe_member(
         vehicle=member.believed,
         track=member.track,
         gap_m=rear - plant.position_m,
-        wanted_gap_m=xp.maximum(xp.where(apart, member.apart_m, member.gap_m), state.needed_gap_m),
+        desired_gap_m=desired_m,
+        wanted_gap_m=xp.maximum(desired_m, state.needed_gap_m),
         needs=state.needs,
+        speed_error_mps=zero if member.protection is None else member.protection.rates.speed_error_mps,
         held_mps2=member.bounds.held_mps2,
         ahead_mps=now.speed_mps,
         ahead_mps2=now.acceleration_mps2,

@@ -12,25 +12,37 @@ from metropilot.physics import Vehicle, namespace
 
 STILL_MPS = 0.02
 STILL_M = 0.1
-OPENING_MPS, CLOSING_MPS2 = 3.0, 0.35
-"""Largest speed at which a gap is opened, and deceleration with which closing a long gap is planned."""
+OPENING_MPS, CLOSING_MPS2, CLOSING_SHARE = 3.0, 0.35, 0.6
+"""Largest speed at which a gap is opened, and deceleration with which closing a long gap is planned: at most,
+and over what the brakes are controlled to."""
 
 
 @no_type_check
-def closing_mps(rate_per_s: Scalar, error_m: Scalar) -> Scalar:
+def closing_mps(rate_per_s: Scalar, error_m: Scalar, most_mps2: Scalar) -> Scalar:
     """Speed at which a gap that is too long by an error is closed; negative: opened.
 
-    A long gap is closed no faster than ``CLOSING_MPS2`` can brake.
+    A long gap is closed no faster than a gentle deceleration can brake.
+
+    Args:
+        rate_per_s: Rate at which a short gap is closed, over the error.
+        error_m: Error of the gap.
+        most_mps2: Deceleration that the brakes are controlled to.
     """
     xp = namespace(rate_per_s, error_m)
-    braking = (xp.maximum(2.0 * CLOSING_MPS2 * error_m, 0.0)) ** 0.5
+    gentle_mps2 = xp.minimum(CLOSING_SHARE * most_mps2, CLOSING_MPS2)
+    braking = (xp.maximum(2.0 * gentle_mps2 * error_m, 0.0)) ** 0.5
     return xp.maximum(xp.minimum(rate_per_s * error_m, braking), -OPENING_MPS)
 
 
 @no_type_check
-def waits(observation: FollowerObservation) -> Scalar:
-    """True if both trainsets stand and the gap is closed up, so that the follower holds its brakes."""
-    near = observation.gap_m <= observation.wanted_gap_m + STILL_M
+def waits(observation: FollowerObservation, gap_m: Scalar) -> Scalar:
+    """True if both trainsets stand and the gap is closed up, so that the follower holds its brakes.
+
+    Args:
+        observation: Of the follower.
+        gap_m: Gap that it closes up to.
+    """
+    near = observation.gap_m <= gap_m + STILL_M
     return (observation.speed_mps <= STILL_MPS) & (observation.ahead_mps <= STILL_MPS) & near
 
 

@@ -89,7 +89,7 @@ class FollowGap(AbstractPlaceFollower):
         rate = xp.minimum(law.bandwidth_per_s, LATE / xp.maximum(late_s, 1e-3))
         error = place.position_m - ahead.position_m - options.time_gap_s * ahead.speed_mps
         gain = 2.0 * options.damping * rate
-        faster = closing_mps(rate / (2.0 * options.damping), error)
+        faster = closing_mps(rate / (2.0 * options.damping), error, observation.most_mps2)
         taken = options.feedforward * xp.maximum(1.0 - gain * late_s, 0.0)
         wanted = taken * place.acceleration_mps2 + gain * (place.speed_mps + faster - ahead.speed_mps)
         return wanted, law._replace(age_s=age)

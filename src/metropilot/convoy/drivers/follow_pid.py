@@ -104,4 +104,4 @@ def pid_step(observation: FollowerObservation, gains: Gains, errors: Errors) -> 
     share, errors = incremental_pid(
         observation.command, gains, observation.ahead_mps - observation.speed_mps, errors
     )
-    return xp.where(waits(observation), 0.0 * share, share), errors
+    return xp.where(waits(observation, observation.wanted_gap_m), 0.0 * share, share), errors

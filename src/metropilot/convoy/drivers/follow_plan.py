@@ -54,5 +54,5 @@ class FollowPlan(AbstractPlaceFollower):
         bandwidth = namespace(most).minimum(options.bandwidth_per_s, most)
         gain = 2.0 * options.damping * bandwidth
         rate = bandwidth / (2.0 * options.damping)
-        faster = closing_mps(rate, place.position_m - ahead.position_m)
+        faster = closing_mps(rate, place.position_m - ahead.position_m, observation.most_mps2)
         return place.acceleration_mps2 + gain * (place.speed_mps + faster - ahead.speed_mps), memory.law

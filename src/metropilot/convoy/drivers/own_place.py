@@ -36,7 +36,7 @@ from metropilot.control import (
 from metropilot.convoy.drivers.base import AbstractFollower, Memory, waits
 from metropilot.convoy.own_plant import OwnPlant, learn, look_ahead, own_plant
 from metropilot.convoy.plan import PlannedMotion, plan_at
-from metropilot.convoy.step import HALF, FollowerObservation, most_share, most_within
+from metropilot.convoy.step import HALF, FollowerObservation, NeededGaps, most_share, most_within
 from metropilot.physics import Vehicle, namespace
 
 JERK_USE = 0.97
@@ -45,10 +45,13 @@ FILTER_S = 0.6
 """Time constant of the filter on departures of the trainset ahead."""
 ALONE_MPS = 1.5
 """Departure of the trainset ahead in speed beyond which its plan no longer counts."""
-NEAR_M = 8.0
-"""Distance to the own mark at which the stop's own law takes over from the plan."""
+NEAR_M, STOP_SHARE = 8.0, 0.95
+"""Distance to the own mark at which the stop's own law takes over from the plan; and the deceleration to it,
+over what the brakes are controlled to."""
 NEAR_ENOUGH_M, CREEP_M = 0.04, 0.05
 """Error at the stop that is not worth a correction in the last period; distance at which creeping ends."""
+REACTION_S = 1.0
+"""Time during which a higher speed takes gap before a brake acts."""
 PULL_S, BRAKE_S, HARSH_MPS2 = 0.1, 0.5, 1e3
 """Times beyond the lag in which spare gap is used, and a lack of it made up for; no limit of acceleration."""
 SHIFT_M = 0.5
@@ -105,6 +108,7 @@ class AbstractPlaceFollower(AbstractFollower):
     def act(self, memory: PlaceMemory, observation: FollowerObservation) -> tuple[Scalar, PlaceMemory]:
         """Learn, predict, hold the place; near the own mark, stop."""
         memory = memory._replace(plant=learn(memory.plant, observation))
+        observation = expect_noise(memory.plant, observation)
         ahead = look_ahead(memory.plant, observation)
         memory, place = own_place(memory, observation, ahead)
         wanted, law = self.hold_place(memory, observation, place, ahead)
@@ -134,6 +138,24 @@ class AbstractPlaceFollower(AbstractFollower):
             place: Its place when the command begins to act.
             ahead: Its own state then.
         """
+
+
+@no_type_check
+def expect_noise(plant: OwnPlant, observation: FollowerObservation) -> FollowerObservation:
+    """The observation with the estimated speed, and the gaps that protection may need in the next period.
+
+    It takes the speed as measured, which by then may be higher by the whole error that it allows for.
+    """
+    xp = namespace(observation.position_m, observation.gap_m)
+    v, needs = plant.motion.speed_mps, observation.needs
+    higher_mps = xp.maximum(v + observation.speed_error_mps - observation.speed_mps, 0.0)
+    more_m = xp.where(
+        observation.speed_error_mps > 0.0, higher_mps * (v / observation.held_mps2 + REACTION_S), 0.0
+    )
+    return observation._replace(
+        speed_mps=xp.where(observation.speed_error_mps > 0.0, v, observation.speed_mps),
+        needs=NeededGaps(needs.on_its_way, *(need_m + more_m for need_m in needs[1:])),
+    )
 
 
 @no_type_check
@@ -186,7 +208,9 @@ def place_alone(observation: FollowerObservation, ahead: PredictedState) -> Plan
     t = xp.minimum(ahead.seconds, xp.where(a < 0.0, v / xp.maximum(-a, 1e-6), 1e9))
     rear = observation.position_m + observation.gap_m + t * (v + 0.5 * a * t)
     speed = xp.maximum(v + a * t, 0.0)
-    return PlannedMotion(rear - observation.wanted_gap_m, speed, xp.where(speed > 0.0, a, 0.0 * a))
+    # A gap for a command is opened by none that is larger than the gap there is admits.
+    gap_m = xp.maximum(observation.desired_gap_m, observation.needs.coasting_m)
+    return PlannedMotion(rear - gap_m, speed, xp.where(speed > 0.0, a, 0.0 * a))
 
 
 @no_type_check
@@ -210,7 +234,8 @@ def stop(
     stopping = xp.where(drawing, STOP_OPTIONS.draw_up_mps2, -demand.wanted_mps2)
     settles, settling = settle(v, a, left_m, jerk, dt, NEAR_ENOUGH_M, CREEP_M, options)
     stopping = xp.where(settles, settling, stopping)
-    near = (left_m < NEAR_M) & (memory.alone <= 0.0)
+    near = (left_m < NEAR_M) | (rate > STOP_SHARE * observation.most_mps2)
+    near = near & (memory.alone <= 0.0)
     return xp.where(near, stopping, wanted_mps2)
 
 
@@ -270,9 +295,9 @@ def command(
     most = xp.where(vehicle.lag_s > 0.0, xp.maximum(ahead.share_for(passes, lead=0.0), 0.0), 1.0)
     most = xp.minimum(most, most_share(observation.needs, observation.gap_m))
     share = xp.minimum(ahead.share_for(wanted, lead=1.0), most)
-    stands = waits(observation)
+    stands = waits(observation, observation.desired_gap_m)
     if observation.plan is not None:
         left_m = own_mark(memory, observation) - observation.position_m
-        arrived = (observation.speed_mps <= 0.0) & (left_m < STOP_OPTIONS.inch_m)
+        arrived = (memory.plant.stands > 0.0) & (left_m < STOP_OPTIONS.inch_m)
         stands = xp.where(memory.alone > 0.0, stands, arrived)
     return xp.where(stands, -0.3, share)
