@@ -53,6 +53,7 @@ HEADS = (
     "other trainsets: in time and place",
     "median / 95th / worst %",
 )
+AS_SHIPPED, A_QUARTER = "as shipped", "a quarter of the budget"
 PRESENT = "as shipped, the policy in the present state"
 TEXT = """### Seeds and ablation
 
@@ -62,6 +63,8 @@ of the first table and {wide} with other trainsets, which chose nothing. A quart
 {quarter:,} decisions and {batches:,} steps of imitation; a feature that a policy is without is always zero.
 
 {table}
+
+{finding}
 
 `python -m benchmarks.generalist_seeds RUN... --sample {sample}`, each run a folder of
 `metropilot learn generalist --budget paper` with the options of the first column; learned at {commits};
@@ -77,9 +80,24 @@ def learned_with(about: Any) -> str:  # noqa: ANN401 (what a policy's file says)
         return "closed loop alone"
     if config["batches"] == QUARTER["batches"] and config["steps"] == QUARTER["steps"]:
         unseen = ", ".join(f"`{name}`" for name in config.get("unseen", ()))
-        return f"a quarter of the budget{unseen and ', without ' + unseen}"
+        return f"{A_QUARTER}{unseen and ', without ' + unseen}"
     kept = [f"{a} {b}" for a, b in pairwise(words) if a in {"--set", "--steps"}]
-    return f"`{' '.join(kept)}`" if kept else "as shipped"
+    return f"`{' '.join(kept)}`" if kept else AS_SHIPPED
+
+
+def scatter(rows: Sequence[Sequence[str]]) -> str:
+    """Finding of the ablation beside the scatter of the seeds, in the mean of their own worlds."""
+    shipped = [float(row[3]) for row in rows if row[0] == AS_SHIPPED]
+    quarter = [float(row[3]) for row in rows if row[0].startswith(A_QUARTER)]
+    if not quarter:
+        return ""
+    wider = max(quarter) - min(quarter) > max(shipped) - min(shipped)
+    return (
+        f"In their own worlds the seeds scatter from {min(shipped):.1f} to {max(shipped):.1f} %, those "
+        f"of a quarter of the budget from {min(quarter):.1f} to {max(quarter):.1f} %: "
+        + ("some groups of features make" if wider else "no group of features makes")
+        + " a difference beyond that of the seeds."
+    )
 
 
 def own_worlds(path: Path) -> dict[str, float]:
@@ -166,6 +184,7 @@ def main() -> None:
         wide=len(wide),
         sample=options.sample,
         table=table(HEADS, rows),
+        finding=scatter(rows),
         commits=", ".join(sorted(commits)),
         about="; ".join(f"{k} {v}" for k, v in circumstances(("metropilot", "clarabel", "numpy")).items()),
     )
