@@ -24,6 +24,7 @@ from metropilot.convoy.step import (
 )
 from metropilot.evaluate import RunSpec
 from metropilot.physics import vehicle_arrays
+from metropilot.planning import joint_minimum_running_time
 from metropilot.protection import spare_gap
 from metropilot.railway import load_line, load_trainset
 from metropilot.sim import Disturbance, TimetableUpdate
@@ -310,6 +311,13 @@ def test_a_dead_time_and_a_lag_of_a_second_are_answered(follower, stops, link):
     assert drive.interventions == (0,) * 3
 
 
+def joint_minimum(convoy):
+    """Least running time of a convoy, s."""
+    section, head = convoy.leader()
+    trainsets, behind = zip((head, 0.0), *convoy.coupled_trainsets(), strict=True)
+    return joint_minimum_running_time(section, trainsets, behind, limits_extended=True)
+
+
 def observe_follower(trainset, *, speed_mps, pending, gap_m, ahead_mps):
     """Observation of a follower of two at a speed, with a command on its way for some time."""
     convoy = Convoy(YIZHUANG.section("RJ", "WYJ"), (trainset,) * 2, dt=DT)
@@ -378,3 +386,17 @@ def test_a_brake_that_takes_seconds_leaves_nobody_short_of_the_mark():
     for member in kpis.trainsets:
         assert abs(member.stopping_error_m) <= 0.3, member
         assert member.interventions == 0
+
+
+def test_the_predictive_follower_answers_late_commands_at_the_least_time():
+    """With a bandwidth beyond what a dead time admits protection stopped three, who closed up too fast."""
+    asked = request(stops=("RJ", "RC"), time_s=5000.0, count=4, link=Link(0.1), follower="follow_mpc")
+    asked = replace(asked, disturbances=masses(1.03, 1.0, 0.97, 0.87))
+    convoy = replace(asked.convoy(), trainsets=(SLOW,) * 4)
+    time_s = float(np.ceil(1.05 * joint_minimum(convoy)))
+    asked = replace(asked, head=replace(asked.head, time_s=time_s))
+    kpis = convoy_kpis(drive_convoy(convoy, asked.driven_head(convoy), asked.make_follower()), time_s)
+    for member in kpis.trainsets:
+        assert member.interventions == 0
+        assert abs(member.stopping_error_m) <= 0.3
+        assert member.max_jerk_mps3 <= member.jerk_limit_mps3 + 1e-6

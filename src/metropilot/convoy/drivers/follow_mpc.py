@@ -18,6 +18,7 @@ from numpy import ndarray
 from metropilot._schema import check_fields, declare
 from metropilot._typing import Array, Scalar
 from metropilot.control import PredictedState
+from metropilot.convoy.drivers.base import closing_mps
 from metropilot.convoy.drivers.own_place import AbstractPlaceFollower, PlaceMemory
 from metropilot.convoy.plan import PlannedMotion, plan_at
 from metropilot.convoy.step import FollowerObservation
@@ -25,9 +26,10 @@ from metropilot.physics import Vehicle, namespace, scalars
 
 HORIZON = 15
 STEPS = 30
-HARSH_MPS2 = 1e3
-FURTHEST_M = 30.0
-"""Largest gap error in the programme, so that a long gap is closed at a speed that can still be braked."""
+HARSH_MPS2, CLOSING_PER_S = 1e3, 0.4
+FURTHEST_M = 1.0
+"""Largest error of place in the programme, whose horizon is shorter than braking takes: the rest of a gap
+is closed at the speed that can still be braked."""
 
 
 @dataclass(frozen=True)
@@ -41,9 +43,9 @@ class FollowMpcOptions:
         fading: Share of a departure from the planned acceleration that remains one period later.
     """
 
-    gap: float = declare(1.0, low=0.0, high=1e3)
+    gap: float = declare(0.1, low=0.0, high=1e3)
     speed: float = declare(1.0, low=0.0, high=1e3)
-    change: float = declare(0.05, low=0.0, high=1e3)
+    change: float = declare(0.2, low=0.0, high=1e3)
     fading: float = declare(0.97, low=0.0, high=1.0)
 
     def __post_init__(self) -> None:
@@ -92,10 +94,13 @@ class FollowMpc(AbstractPlaceFollower):
         dt = observation.period_s
         programme = matrices(self.options, float(dt))
         planned = planned_mps2(memory, observation, ahead)
-        error = xp.clip(place.position_m - ahead.position_m, -FURTHEST_M, FURTHEST_M)
+        whole_m = place.position_m - ahead.position_m
+        error = xp.clip(whole_m, -FURTHEST_M, FURTHEST_M)
+        faster = closing_mps(CLOSING_PER_S, whole_m - error, observation.most_mps2)
         own = ahead.acceleration_mps2
         off_mps2 = place.acceleration_mps2 - planned[0]
-        start = join.stack([error, place.speed_mps - ahead.speed_mps, off_mps2, own - planned[0]])
+        behind_mps = place.speed_mps + faster - ahead.speed_mps
+        start = join.stack([error, behind_mps, off_mps2, own - planned[0]])
         drag = ahead.resistance_mps2 + ahead.gradient_mps2
         reach = xp.minimum(observation.vehicle.jerk_mps3, HARSH_MPS2) * dt * join.arange(1, HORIZON + 1)
         lowest = join.maximum(-ahead.brake_mps2 - drag, own - reach) - planned
