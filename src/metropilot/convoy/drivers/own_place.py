@@ -45,9 +45,9 @@ FILTER_S = 0.6
 """Time constant of the filter on departures of the trainset ahead."""
 ALONE_MPS = 1.5
 """Departure of the trainset ahead in speed beyond which its plan no longer counts."""
-NEAR_M, STOP_SHARE = 8.0, 0.95
-"""Distance to the own mark at which the stop's own law takes over from the plan; and the deceleration to it,
-over what the brakes are controlled to."""
+NEAR_M, STOP_SHARE, BEHIND_M = 8.0, 0.95, 1.0
+"""Distance to the own mark at which the stop's own law takes over from the plan; and from how far behind the
+plan, the deceleration to the mark over what the brakes give."""
 NEAR_ENOUGH_M, CREEP_M = 0.04, 0.05
 """Error at the stop that is not worth a correction in the last period; distance at which creeping ends."""
 REACTION_S = 1.0
@@ -234,7 +234,13 @@ def stop(
     stopping = xp.where(drawing, STOP_OPTIONS.draw_up_mps2, -demand.wanted_mps2)
     settles, settling = settle(v, a, left_m, jerk, dt, NEAR_ENOUGH_M, CREEP_M, options)
     stopping = xp.where(settles, settling, stopping)
-    near = (left_m < NEAR_M) | (rate > STOP_SHARE * observation.most_mps2)
+    # Whoever may stand does not move again for what is left; it holds once it surely stands.
+    still = (v <= 0.0) & (left_m < STOP_OPTIONS.inch_m)
+    stopping = xp.where(still, -STOP_OPTIONS.hold_mps2, stopping)
+    able = xp.minimum(observation.most_mps2, ahead.brake_mps2 + ahead.resistance_mps2 + ahead.gradient_mps2)
+    # A plan that is held ends at the mark; whoever is behind it comes too fast for its last metres.
+    behind = memory.place_m - ahead.position_m > v * dt + BEHIND_M
+    near = (left_m < NEAR_M) | (behind & (rate > STOP_SHARE * able))
     near = near & (memory.alone <= 0.0)
     return xp.where(near, stopping, wanted_mps2)
 
