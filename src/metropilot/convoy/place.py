@@ -17,6 +17,7 @@ from metropilot.convoy.model import Member
 from metropilot.convoy.needed import NeededGap, delay_along
 from metropilot.convoy.own_plant import most_bandwidth
 from metropilot.convoy.plan import STANDING_MPS, MotionPlan, PlannedMotion, plan_times, stand_on
+from metropilot.convoy.step import gap_per_mps
 from metropilot.physics import effort_limits, kept_share
 from metropilot.protection import permitted_speed
 
@@ -177,7 +178,7 @@ def needed_delay(
     for j in range(count - 2, row, -1):
         wide[j] = max(wide[j], wide[j + 1] - opens[j] * dt)
     use, room = _limit_closing(member, base)
-    takes = speed / float(member.bounds.held_mps2) + 1.0
+    takes = gap_per_mps(speed, float(member.bounds.held_mps2))
     delay, own_mps = np.full(count, late_s), speed[row]
     for j in range(row + 1, count):
         before = delay[j - 1]
@@ -265,7 +266,7 @@ def make_drivable(member: Member, wanted: MotionPlan, first: int, now: PlannedMo
     ).min(axis=1)
     cap, jerk = lowest.tolist(), RATE_USE * float(vehicle.jerk_mps3) * dt
     w = min(TRACKING_PER_S, float(most_bandwidth(vehicle)))
-    takes = (speed_mps / float(member.bounds.held_mps2) + 1.0).tolist()
+    takes = gap_per_mps(speed_mps, float(member.bounds.held_mps2)).tolist()
     answers = 1.0 - kept_share(float(vehicle.lag_s), dt)
     most_down = FALL_BACK_MPS2 if float(vehicle.delay_s + vehicle.lag_s) > 0.0 else np.inf
     stands, closes = np.flatnonzero(speed_mps > CREEP_MPS).max(initial=0), manoeuvres(member)
@@ -334,7 +335,7 @@ def smooth_gap(
     if member.protection is not None:
         room = permitted_speed(member.protection, level.position_m) - PLANNED_UNDER_MPS - level.speed_mps
     held = float(member.bounds.held_mps2)
-    takes = level.speed_mps[first:] / held + 1.0
+    takes = gap_per_mps(level.speed_mps[first:], held)
     opening = np.minimum(slope, GAP_SHARE * level.speed_mps[first:])
     envelope = hold_largest(target, reach)
     for k in range(envelope.size - 2, -1, -1):

@@ -24,6 +24,8 @@ HALF = 0.5
 """Command between coasting and full traction at which the needed gap is evaluated too."""
 EASE_M = 2.0
 """Lack of gap at which a follower brakes fully."""
+REACTION_S = 1.0
+"""Time during which a higher speed takes gap before a brake acts."""
 FADING_MPS, LONG_M, FADING_S = 0.1, 10.0, 2.0
 """Decay of the needed gap: a constant rate, and a time constant for what exceeds a long gap."""
 
@@ -273,6 +275,12 @@ def update_needed_gap(member: Member, state: MemberState, now_s: Array, period_s
         needed_gap_m=xp.maximum(now_m, faded_m),
         needs=NeededGaps(on_its_way, coasting_m, half_m, pulling_m),
     )
+
+
+@no_type_check
+def gap_per_mps(speed_mps: Array, held_mps2: Array) -> Array:
+    """Growth of the gap that protection needs with the own speed, m for each m/s."""
+    return speed_mps / held_mps2 + REACTION_S
 
 
 @no_type_check

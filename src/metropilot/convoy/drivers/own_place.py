@@ -36,7 +36,14 @@ from metropilot.control import (
 from metropilot.convoy.drivers.base import AbstractFollower, Memory, waits
 from metropilot.convoy.own_plant import OwnPlant, learn, look_ahead, own_plant
 from metropilot.convoy.plan import PlannedMotion, plan_at
-from metropilot.convoy.step import HALF, FollowerObservation, NeededGaps, most_share, most_within
+from metropilot.convoy.step import (
+    HALF,
+    FollowerObservation,
+    NeededGaps,
+    gap_per_mps,
+    most_share,
+    most_within,
+)
 from metropilot.physics import Vehicle, namespace
 
 JERK_USE = 0.97
@@ -50,8 +57,6 @@ NEAR_M, STOP_SHARE, BEHIND_M = 8.0, 0.95, 1.0
 plan, the deceleration to the mark over what the brakes give."""
 NEAR_ENOUGH_M, CREEP_M = 0.04, 0.05
 """Error at the stop that is not worth a correction in the last period; distance at which creeping ends."""
-REACTION_S = 1.0
-"""Time during which a higher speed takes gap before a brake acts."""
 PULL_S, BRAKE_S, HARSH_MPS2 = 0.1, 0.5, 1e3
 """Times beyond the lag in which spare gap is used, and a lack of it made up for; no limit of acceleration."""
 SHIFT_M = 0.5
@@ -150,7 +155,7 @@ def expect_noise(plant: OwnPlant, observation: FollowerObservation) -> FollowerO
     v, needs = plant.motion.speed_mps, observation.needs
     higher_mps = xp.maximum(v + observation.speed_error_mps - observation.speed_mps, 0.0)
     more_m = xp.where(
-        observation.speed_error_mps > 0.0, higher_mps * (v / observation.held_mps2 + REACTION_S), 0.0
+        observation.speed_error_mps > 0.0, higher_mps * gap_per_mps(v, observation.held_mps2), 0.0
     )
     return observation._replace(
         speed_mps=xp.where(observation.speed_error_mps > 0.0, v, observation.speed_mps),
