@@ -371,7 +371,7 @@ def test_noise_in_the_measured_speed_neither_jerks_nor_overrules(follower, train
     """Noise made a crawl look like a standstill, and protection need more than was planned."""
     asked = request(stops=stops, time_s=120.0, count=3, follower=follower)
     noisy = tuple(Disturbance(mass_factor=factor, speed_noise_mps=0.03) for factor in (0.9, 1.2, 0.8))
-    asked = replace(asked, disturbances=noisy, head=replace(asked.head, seed=4))
+    asked = replace(asked, disturbances=noisy, head=replace(asked.head, seed=0))
     convoy = asked.convoy()
     convoy = convoy if isinstance(trainset, str) else replace(convoy, trainsets=(trainset,) * 3)
     kpis = convoy_kpis(asked.drive(convoy), 120.0)

@@ -241,7 +241,7 @@ def stop(
     stopping = xp.where(settles, settling, stopping)
     # Whoever may stand does not move again for what is left; it holds once it surely stands.
     still = (v <= 0.0) & (left_m < STOP_OPTIONS.inch_m)
-    stopping = xp.where(still, -STOP_OPTIONS.hold_mps2, stopping)
+    stopping = xp.where(still, -xp.minimum(STOP_OPTIONS.hold_mps2, JERK_USE * jerk * dt), stopping)
     able = xp.minimum(observation.most_mps2, ahead.brake_mps2 + ahead.resistance_mps2 + ahead.gradient_mps2)
     # A plan that is held ends at the mark; whoever is behind it comes too fast for its last metres.
     behind = memory.place_m - ahead.position_m > v * dt + BEHIND_M
