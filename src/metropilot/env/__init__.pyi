@@ -23,6 +23,7 @@ from .features import FEATURE_WORDS as FEATURE_WORDS
 from .features import FEATURES as FEATURES
 from .features import OBSERVERS as OBSERVERS
 from .features import FeatureContext as FeatureContext
+from .features import check_features as check_features
 from .features import feature_context as feature_context
 from .features import observe as observe
 from .interface import AbstractTask as AbstractTask

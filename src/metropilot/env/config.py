@@ -8,7 +8,7 @@ import numpy as np
 
 from metropilot.env.actions import AbstractAction, RegimeAction
 from metropilot.env.assists import Assists
-from metropilot.env.features import FEATURES, OBSERVERS
+from metropilot.env.features import FEATURES, OBSERVERS, check_features
 from metropilot.env.policy_interface import PolicyInterface
 from metropilot.env.randomization import DisturbanceDistribution
 from metropilot.env.rewards import AbstractTerm, Energy, Failure, Intervention, Punctuality
@@ -65,14 +65,7 @@ class DrivingConfig:
     def __post_init__(self) -> None:
         if not self.sections or not self.trainsets:
             raise InputError("a task needs sections and trainsets", field="sections")
-        unknown = set(self.features) - set(FEATURES)
-        if unknown:
-            raise InputError(
-                "unknown feature",
-                field="observer",
-                value=", ".join(sorted(unknown)),
-                allowed=", ".join(FEATURES),
-            )
+        check_features(self.features, FEATURES, "observer")
         names = [term.name for term in self.rewards]
         if len(set(names)) != len(names):
             raise InputError("a reward term given twice", field="rewards", value=", ".join(names))

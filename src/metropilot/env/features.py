@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import functools
 import itertools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
@@ -25,6 +25,7 @@ from metropilot.env.tables import (
     SectionTables,
     near_track,
 )
+from metropilot.errors import InputError
 from metropilot.physics import (
     EffortLimits,
     Track,
@@ -572,6 +573,23 @@ OBSERVERS: Mapping[str, tuple[str, ...]] = MappingProxyType(
     }
 )
 """Named observers: Chen23a's two numbers, Lu23's three, one for a section, two for any section."""
+
+
+def check_features(names: Iterable[str], known: Iterable[str], field: str) -> None:
+    """Refuse names of features that are not known.
+
+    Args:
+        names: Names of features.
+        known: Those that there are.
+        field: Named in the error.
+
+    Raises:
+        InputError: One of them is not known.
+    """
+    known = tuple(known)
+    unknown = sorted(set(names).difference(known))
+    if unknown:
+        raise InputError("unknown feature", field=field, value=", ".join(unknown), allowed=", ".join(known))
 
 
 def observe(features: Sequence[str], context: FeatureContext) -> Float[Array, " features"]:

@@ -25,6 +25,7 @@ from metropilot.env import (
     DrivingTask,
     RegimeAction,
     SectionRows,
+    check_features,
     domain_sample,
 )
 from metropilot.errors import InputError
@@ -123,14 +124,7 @@ def train_in_parts(
             policy is no share of effort.
     """
     require_random_sections(task)
-    unknown = set(config.unseen) - set(FEATURE_NAMES)
-    if unknown:
-        raise InputError(
-            "unknown feature",
-            field="unseen",
-            value=", ".join(sorted(unknown)),
-            allowed=", ".join(FEATURE_NAMES),
-        )
+    check_features(config.unseen, FEATURE_NAMES, "unseen")
     if options.evaluate is None:
         raise InputError("the course is judged by drives", field="evaluate")
     keep_compiled()
