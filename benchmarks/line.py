@@ -1,9 +1,10 @@
 """Energy of a line beside its floor by headway and feeding zones.
 
-Reads a folder of the campaign `benchmarks/line.toml`, which can be stopped and goes on:
+Reads folders of two campaigns, which can be stopped and go on:
 
 metropilot campaign benchmarks/line.toml --out FOLDER
-python -m benchmarks.line --campaign FOLDER --write docs/line.md
+metropilot campaign benchmarks/line-sharp.toml --out SHARP
+python -m benchmarks.line --campaign FOLDER SHARP --write docs/line.md
 """
 
 from __future__ import annotations
@@ -22,11 +23,13 @@ from metropilot.operation import (
     LineOperation,
     OperationOptions,
     find_timetable,
+    zone_floor_j,
 )
 from metropilot.railway import load_line, load_trainset
 from metropilot.units import J_PER_KWH
 
 SEARCH = inspect.signature(find_timetable).parameters
+PROGRAMMES = inspect.signature(zone_floor_j).parameters["programmes"].default
 COLUMNS = (
     "zones",
     "headway s",
@@ -63,10 +66,19 @@ def compute_saving(row: Row, name: str, of: str = "") -> float:
 
 def cite_commands(campaign: str, spent_s: float, module: str) -> str:
     """Commands that make a part of the page from a campaign of lines, and where they ran."""
+    return cite_all({campaign: spent_s}, module)
+
+
+def cite_all(spent_s: Mapping[str, float], module: str) -> str:
+    """The same from several campaigns, with the processor time of each."""
     about = "; ".join(f"{k} {v}" for k, v in circumstances(("metropilot", "clarabel", "numpy")).items())
+    folders = [f"FOLDER{k or ''}" for k in range(len(spent_s))]
+    campaigns = ", ".join(
+        f"`metropilot campaign {campaign} --out {folder}`, {spent:.0f} s of processor time"
+        for folder, (campaign, spent) in zip(folders, spent_s.items(), strict=True)
+    )
     return (
-        f"`metropilot campaign {campaign} --out FOLDER`, {spent_s:.0f} s of processor time, and "
-        f"`python -m {module} --campaign FOLDER --write docs/line.md`; {about}."
+        f"{campaigns}, and `python -m {module} --campaign {' '.join(folders)} --write docs/line.md`; {about}."
     )
 
 
@@ -81,6 +93,7 @@ def planned_floor_kwh(row: Row) -> float:
 def describe(rows: Sequence[Row], planned_kwh: float, written: str) -> str:
     """Part of the page."""
     first = rows[0]
+    sharp = sorted({f"{row['zones']}" for row in rows if row["sharp"]})
     names = ("cruise_kwh", "driving_only_kwh", "timetable_only_kwh", "energy_kwh")
     cells = [
         [
@@ -104,6 +117,7 @@ def describe(rows: Sequence[Row], planned_kwh: float, written: str) -> str:
             f"at planned times the floor with all received is {planned_kwh:.1f} kWh. Cruise and brake",
             "and driving only are means over 60 offsets between the directions. Searches:",
             f"seed {first['seed']}, {SEARCH['restarts'].default} starts of {SEARCH['moves'].default} moves.",
+            f"The floor with {', '.join(sharp)} zones is the sharp one, of at most {PROGRAMMES} programmes.",
             "",
             table(COLUMNS, cells),
             "",
@@ -115,11 +129,15 @@ def describe(rows: Sequence[Row], planned_kwh: float, written: str) -> str:
 def main() -> None:
     """Print the part of the page or write it."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--campaign", type=Path, metavar="FOLDER", required=True)
+    parser.add_argument("--campaign", type=Path, metavar="FOLDER", nargs=2, required=True)
     parser.add_argument("--write", type=Path, metavar="PAGE")
     given = parser.parse_args()
-    _, rows, spent_s = read_rows(given.campaign)
-    written = cite_commands("benchmarks/line.toml", spent_s, "benchmarks.line")
+    rows, spent_s = list[Row](), dict[str, float]()
+    for folder in given.campaign:
+        sweep, found, spent = read_rows(folder)
+        rows += found
+        spent_s[f"benchmarks/{sweep.name}.toml"] = spent
+    written = cite_all(spent_s, "benchmarks.line")
     write_section(given.write, "line", describe(rows, planned_floor_kwh(rows[0]), written))
 
 

@@ -1,3 +1,4 @@
+from .adapted_plans import adapt_plans as adapt_plans
 from .comparison import DrivenEnergy as DrivenEnergy
 from .comparison import ScatteredEnergy as ScatteredEnergy
 from .day import DayPower as DayPower

@@ -14,12 +14,13 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy import ndarray
+from scipy.optimize import minimize_scalar
 
 from metropilot._typing import Float
 from metropilot.errors import InputError
-from metropilot.operation.exchange_floor import SectionTrips, pair_energies
+from metropilot.operation.exchange_floor import SectionFloor, SectionTrips
 from metropilot.operation.line_service import LineOperation
-from metropilot.operation.path import SectionCost, find_least_path
+from metropilot.operation.path import LeastPath, SectionCost, find_least_path
 from metropilot.physics import track_arrays, vehicle_arrays
 from metropilot.planning import ExchangeTrip, ReceivedEnergy, Receiver, TripBound, is_mapped
 
@@ -31,6 +32,9 @@ SAME_J = 2e4
 """Energies nearer than this are one."""
 PRICES = np.linspace(0.1, 0.9, 5)
 """Prices of a second that are tried in the Lagrangian: quantiles of what a second saves."""
+PROGRAMMES, PRICED, NEAR_PRICE = 4000, 15, (0.7, 1.4)
+"""Programmes of two trips that are solved for a sharp floor, at most; every so many paths the best price of a
+second is sought anew, between these shares of the last one."""
 
 
 class TripFloors:
@@ -52,18 +56,16 @@ class TripFloors:
         self._found: list[dict[frozenset[Receiver], TripBound]] = [{} for _ in operation.trips]
         self._planned: list[dict[frozenset[Receiver], TripBound]] = [{} for _ in operation.trips]
         self._operation = operation
-        self._exchanging: dict[tuple[int, int, int], ExchangeTrip] = {}
+        self._exchanging: dict[tuple[int, range], ExchangeTrip] = {}
 
-    def exchange_trip(self, trip: int, spread_s: tuple[int, int]) -> ExchangeTrip:
+    def exchange_trip(self, trip: int, changes_s: range) -> ExchangeTrip:
         """A trip as one that exchanges energy with another, its running time within a window."""
-        key = trip, *spread_s
+        key = trip, changes_s
         if key not in self._exchanging:
             silent, asked = self._operation.silent, self._operation.trips[trip]
+            track = track_arrays(asked.section, silent)
             self._exchanging[key] = ExchangeTrip(
-                vehicle_arrays(silent),
-                track_arrays(asked.section, silent),
-                float(asked.planned_s),
-                range(spread_s[0], spread_s[1] + 1),
+                vehicle_arrays(silent), track, float(asked.planned_s), changes_s
             )
         return self._exchanging[key]
 
@@ -132,18 +134,26 @@ class _Meeting(NamedTuple):
         bound_j: Forward and backward, by the second after the departure of the forward train at which the
             backward one arrives, and by the sum of both running times. Shape (2, H, C).
         second_w: What one more second saves. Shape (2, H, C).
-        spread_s: Changes of the running times allowed, the least and the most of each. Shape (2, 2).
+        changes_s: Changes of the running times allowed, of each.
         planned_s: Planned sum of both.
     """
 
     bound_j: Float[ndarray, "2 headway sums"]
     second_w: Float[ndarray, "2 headway sums"]
-    spread_s: tuple[tuple[int, int], tuple[int, int]]
+    changes_s: tuple[range, range]
     planned_s: int
+
+    @property
+    def energy_j(self) -> Float[ndarray, "headway own other"]:
+        """Least energy of both trips by the changes of both running times."""
+        own, other = (np.array(each) for each in self.changes_s)
+        column = np.add.outer(own - own[0], other - other[0])
+        sloped_j = self.second_w[0][:, column] * own[:, None] + self.second_w[1][:, column] * other
+        return self.bound_j.sum(axis=0)[:, column] - sloped_j
 
     def add_price(self, price_w: float) -> SectionCost:
         """Least energy of both trips with every second more than planned at a price."""
-        (low, high), (other_low, other_high) = self.spread_s
+        (low, high), (other_low, other_high) = ((each[0], each[-1]) for each in self.changes_s)
         change = np.arange(low + other_low, high + other_high + 1)
         ends = np.maximum(low, change - other_high), np.minimum(high, change - other_low)
         # linear in how the change is divided: one of the ends is the least
@@ -180,10 +190,19 @@ class _Windows:
             0 if terminal else high_s,
         )
 
-    def spread_s(self, trip: int) -> tuple[int, int]:
-        """Least and most change of a running time."""
+    @property
+    def moves(self) -> bool:
+        """True if a running time may change."""
+        return any(len(each) > 1 for each in self.running_s)
+
+    def changes_s(self, trip: int) -> range:
+        """Changes of a running time."""
         planned_s = self.operation.trips[trip].planned_s
-        return self.running_s[trip][0] - planned_s, self.running_s[trip][-1] - planned_s
+        return range(self.running_s[trip][0] - planned_s, self.running_s[trip][-1] - planned_s + 1)
+
+    def find_path(self, costs: Sequence[SectionCost]) -> LeastPath:
+        """Path of least energy with the dwells that a timetable may have."""
+        return find_least_path(costs, 2 * self.operation.options.dwell_s, 2 * self.dwell_s)
 
 
 def check_sharp(operation: LineOperation) -> None:
@@ -207,6 +226,7 @@ def zone_floor_j(
     *,
     windows: bool = False,
     sharp: bool = False,
+    programmes: int = PROGRAMMES,
 ) -> float:
     """Energy that no timetable undercuts, however the trains are driven: only trains that meet can receive.
 
@@ -217,6 +237,7 @@ def zone_floor_j(
             each direction.
         sharp: Ask what trains can exchange at the moments at which they meet, where each section is a zone:
             minutes of processor time.
+        programmes: Programmes of two trips that are solved for a sharp floor, at most.
 
     Returns:
         Energy in one headway; minus infinity, for not known, where an efficiency depends on speed or effort.
@@ -228,34 +249,71 @@ def zone_floor_j(
         return -math.inf
     floors = floors or TripFloors(operation)
     allowed = _Windows(operation, windows=windows)
-    sections: list[_Meeting] | list[SectionCost]
+    aboard_j = operation.trainset.auxiliary_w * sum(operation.journey_s(backward=b) for b in (False, True))
     if sharp:
         check_sharp(operation)
-        sections = [_exchange(allowed, floors, k) for k in range(operation.count)]
-        second_w = [-np.diff(each.energy_j.max(axis=0)).mean() for each in sections] if windows else []
-    else:
-        sections = [_meeting(allowed, floors, k) for k in range(operation.count)]
-        second_w = np.concatenate([each.second_w.ravel() for each in sections])
+    meetings = [_meeting(allowed, floors, k) for k in range(operation.count)]
+    if sharp:
+        return aboard_j + _sharp_floor_j(allowed, floors, meetings, programmes)
+    second_w = np.concatenate([each.second_w.ravel() for each in meetings])
     prices = np.quantile(second_w, PRICES).tolist() if windows else [0.0]
-    aboard_j = operation.trainset.auxiliary_w * sum(operation.journey_s(backward=b) for b in (False, True))
-    dwells_s = 2 * operation.options.dwell_s, 2 * allowed.dwell_s
     return aboard_j + max(
-        find_least_path([each.add_price(price) for each in sections], *dwells_s).energy_j for price in prices
+        allowed.find_path([each.add_price(price) for each in meetings]).energy_j for price in prices
     )
 
 
-def _exchange(allowed: _Windows, floors: TripFloors, section: int) -> SectionCost:
+def _sharp_floor_j(
+    allowed: _Windows, floors: TripFloors, meetings: Sequence[_Meeting], programmes: int
+) -> float:
+    """Least energy of the trips: the cells of the least path are bounded more finely, again and again."""
+    sections = [_exchange(allowed, floors, k, each.energy_j) for k, each in enumerate(meetings)]
+    price_w, floor_j = 0.0, -math.inf
+    for turn in range(programmes):
+        costs = [each.cost() for each in sections]
+        if allowed.moves and turn % PRICED == 0:
+            price_w = _best_price(allowed, costs, price_w)
+        path = allowed.find_path([each.add_price(price_w) for each in costs])
+        floor_j = max(floor_j, path.energy_j)
+        asked = zip(sections, path.arrives_s.tolist(), path.running_change_s.tolist(), strict=True)
+        refined = [each.refine(arrives_s, change_s) for each, arrives_s, change_s in asked]
+        if not any(refined) or sum(each.solved for each in sections) >= programmes:
+            break
+    return floor_j
+
+
+def _best_price(allowed: _Windows, costs: Sequence[SectionCost], last_w: float) -> float:
+    """Price of a second with which the least path is dearest, near the last one if there is one."""
+    if not last_w:
+        last_w = float(np.median([-np.diff(each.energy_j.max(axis=0)).mean() for each in costs]))
+    low, high = (share * last_w for share in NEAR_PRICE)
+    found = minimize_scalar(
+        lambda price_w: -allowed.find_path([each.add_price(price_w) for each in costs]).energy_j,
+        bounds=(low, high),
+        method="bounded",
+        options={"maxiter": 12},
+    )
+    return float(found.x)
+
+
+def _exchange(
+    allowed: _Windows, floors: TripFloors, section: int, known_j: Float[ndarray, "headway own other"]
+) -> SectionFloor:
     """Least energies of a section that is a zone: its trips exchange energy."""
     operation = allowed.operation
     pair = section, len(operation.trips) - 1 - section
-    trips = (
-        floors.exchange_trip(pair[0], allowed.spread_s(pair[0])),
-        floors.exchange_trip(pair[1], allowed.spread_s(pair[1])),
+    changes_s = allowed.changes_s(pair[0]), allowed.changes_s(pair[1])
+
+    return SectionFloor(
+        SectionTrips(
+            (floors.exchange_trip(pair[0], changes_s[0]), floors.exchange_trip(pair[1], changes_s[1])),
+            (operation.trips[pair[0]].planned_s, operation.trips[pair[1]].planned_s),
+            changes_s,
+            (allowed.stay(pair[0]).rest_s, allowed.stay(pair[1]).rest_s),
+            operation.trainset.auxiliary_w,
+            operation.options.headway_s,
+        ),
+        known_j,
     )
-    rest_s = allowed.stay(pair[0]).rest_s, allowed.stay(pair[1]).rest_s
-    both = SectionTrips(trips, rest_s, operation.trainset.auxiliary_w, operation.options.headway_s)
-    planned_s = sum(operation.trips[k].planned_s for k in pair)
-    return SectionCost(pair_energies(both), both.sums_s[0], planned_s)
 
 
 def _meeting(allowed: _Windows, floors: TripFloors, section: int) -> _Meeting:
@@ -270,8 +328,8 @@ def _meeting(allowed: _Windows, floors: TripFloors, section: int) -> _Meeting:
         _energies(allowed, floors, (pair[1], pair[0]), ahead_s - 1, behind_s + 1),
     ]
     bound_j, second_w = (np.stack(parts) for parts in zip(*found, strict=True))
-    spread_s = allowed.spread_s(pair[0]), allowed.spread_s(pair[1])
-    return _Meeting(bound_j, second_w, spread_s, sum(operation.trips[k].planned_s for k in pair))
+    changes_s = allowed.changes_s(pair[0]), allowed.changes_s(pair[1])
+    return _Meeting(bound_j, second_w, changes_s, sum(operation.trips[k].planned_s for k in pair))
 
 
 def _energies(

@@ -44,13 +44,13 @@ class LeastPath(NamedTuple):
 
     Attributes:
         energy_j: Its energy.
-        arrives_s: ``a`` in the first section.
+        arrives_s: ``a`` in each section, modulo the headway. Shape (S,).
         running_change_s: Change of the sum of running times in each section. Shape (S,).
         dwell_change_s: Change of the sum of dwells at each station on the way. Shape (S-1,).
     """
 
     energy_j: float
-    arrives_s: int
+    arrives_s: Int[ndarray, " sections"]
     running_change_s: Int[ndarray, " sections"]
     dwell_change_s: Int[ndarray, " stations"]
 
@@ -69,6 +69,7 @@ def find_least_path(sections: Sequence[SectionCost], dwell_s: int, window_s: int
     start = int(np.argmin(last[:, none]))
     stages = [stage[0] for stage in _sweep(sections, dwell_s, window_s, np.array([start]))]
     changes: list[int] = []
+    arrives: list[int] = []
     at = none
     planned_s = _planned_before(sections, dwell_s)
     for k in range(len(stages) - 1, 0, -1):
@@ -82,11 +83,13 @@ def find_least_path(sections: Sequence[SectionCost], dwell_s: int, window_s: int
             from_ = np.clip(at - by, 0, 2 * none)
             a = (start - planned_s[section] - (from_ - none)) % headway_s
             cost = stages[k - 1][from_] + here.energy_j[a, np.arange(by.size)]
+            arrives.append(int(a[np.argmin(cost)]))
         changes.append(int(by[np.argmin(cost)]))
         at -= changes[-1]
     changes.reverse()
+    arrives_s = np.array(arrives[::-1], int)
     return LeastPath(
-        float(last[start, none]), start, np.array(changes[::2], int), np.array(changes[1::2], int)
+        float(last[start, none]), arrives_s, np.array(changes[::2], int), np.array(changes[1::2], int)
     )
 
 

@@ -60,6 +60,10 @@ class PowerProfile:
         """Power drawn less the part of the returned power that reaches another train."""
         return self.drawn_w - (1.0 - transfer_loss) * self.returned_w
 
+    def net_until_j(self, transfer_loss: float, at_s: Float[ndarray, " times"]) -> Float[ndarray, " times"]:
+        """Integral of the net power from the departure to each time; there is none beside the trip."""
+        return _integral_until(self.time_s, self.net_w(transfer_loss), at_s)
+
 
 @dataclass(frozen=True, eq=False)
 class PeriodicPower:
@@ -82,6 +86,13 @@ class PeriodicPower:
     def negative_j(self) -> float:
         """Integral of the negative part over one headway, positive."""
         return float(np.sum(_positive_parts_j(self.time_s, -self.power_w)))
+
+    def until_j(self, at_s: Float[ndarray, " times"]) -> Float[ndarray, " times"]:
+        """Integral from time zero to each time, over headways before and after too."""
+        headways, at_s = np.divmod(at_s, self.time_s[-1])
+        return headways * _integral(self.time_s, self.power_w) + _integral_until(
+            self.time_s, self.power_w, at_s
+        )
 
     def split(self, count: int) -> Float[ndarray, "2 parts"]:
         """Integrals of the positive and the negative part over each of so many equal parts of the headway.
@@ -154,6 +165,17 @@ def _profile(
 
 def _integral(time_s: ndarray, power_w: ndarray) -> float:
     return float(np.sum(np.diff(time_s) * power_w.mean(axis=1)))
+
+
+def _integral_until(time_s: ndarray, power_w: ndarray, at_s: ndarray) -> ndarray:
+    """Integral of linear pieces from their first knot to each time."""
+    lasts = np.diff(time_s)
+    before = np.concatenate([[0.0], np.cumsum(lasts * power_w.mean(axis=1))])
+    at_s = np.clip(at_s, time_s[0], time_s[-1])
+    j = np.clip(np.searchsorted(time_s, at_s, side="right") - 1, 0, lasts.size - 1)
+    since = at_s - time_s[j]
+    slope = np.divide(power_w[:, 1] - power_w[:, 0], lasts, out=np.zeros_like(lasts), where=lasts > 0)
+    return before[j] + since * (power_w[j, 0] + 0.5 * since * slope[j])
 
 
 def add_periodic(

@@ -123,7 +123,8 @@ def operation_energy(
 
     def find(driving: str) -> tuple[Timetable, Profiles]:
         if searched:
-            return find_timetable(operation, plans[driving], seed=seed)
+            adapted = driving == "optimal" and feeding is None
+            return find_timetable(operation, plans[driving], seed=seed, adapted=adapted)
         timetable = best_offset(operation, plans[driving][0])
         return timetable, choose_plans(operation, timetable, plans[driving])[0]
 
@@ -140,9 +141,7 @@ def operation_energy(
     balance, floor_j = operation.energy(timetable, profiles), operation.floor_j(all_received)
     settled = balance.supplied_j <= (1.0 + SETTLED) * floor_j
     floors = floors or TripFloors(operation)
-    met_j = floor_j if settled else zone_floor_j(operation, floors, windows=searched)
-    if sharp:
-        met_j = max(met_j, zone_floor_j(operation, floors, windows=searched, sharp=True))
+    met_j = floor_j if settled else zone_floor_j(operation, floors, windows=searched, sharp=sharp)
     return OperationEnergy(
         operation=operation,
         searched=searched,

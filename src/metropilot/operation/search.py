@@ -17,14 +17,15 @@ import numpy as np
 from numpy import ndarray
 
 from metropilot._typing import Float, Int
+from metropilot.operation.adapted_plans import adapt_plans
 from metropilot.operation.headway import LongestDwells
 from metropilot.operation.line_service import LineOperation, Profiles, Timetable
 from metropilot.operation.path import SectionCost, find_least_path
-from metropilot.operation.power import PowerProfile
 
 CELLS_PER_S = 2
 """Cells of a second over which power is averaged while searching; the result is computed exactly."""
-MOVES, RESTARTS = 12_000, 3
+MOVES, RESTARTS, ADAPTED = 12_000, 3, 2
+"""Moves from each start, starts, and how many of the timetables found are tried with adapted plans."""
 WARMTH = 0.002, 1e-5
 """First and last temperature of the annealing, shares of the energy."""
 COOL = 0.2
@@ -85,23 +86,10 @@ class _Score:
     def _means(self, k: int, running: int, dwell: int, plan: int) -> Float[ndarray, " cells"]:
         options, profile = self.operation.options, self.plans[plan][k][running]
         edges = np.arange(CELLS_PER_S * (running + dwell) + 1) / CELLS_PER_S
-        energy = _energy_until(profile, options.transfer_loss, edges)
+        energy = profile.net_until_j(options.transfer_loss, edges)
         means = CELLS_PER_S * np.diff(energy) + self.operation.trainset.auxiliary_w
         rounds = math.ceil(means.size / self.cells)
         return np.pad(means, (0, rounds * self.cells - means.size)).reshape(rounds, self.cells).sum(axis=0)
-
-
-def _energy_until(
-    profile: PowerProfile, loss: float, at: Float[ndarray, " edges"]
-) -> Float[ndarray, " edges"]:
-    """Net energy of a trip from its departure."""
-    net, lasts = profile.net_w(loss), np.diff(profile.time_s)
-    before = np.concatenate([[0.0], np.cumsum(lasts * net.mean(axis=1))])
-    at = np.minimum(at, profile.time_s[-1])
-    j = np.clip(np.searchsorted(profile.time_s, at, side="right") - 1, 0, lasts.size - 1)
-    since = at - profile.time_s[j]
-    slope = np.divide(net[:, 1] - net[:, 0], lasts, out=np.zeros_like(lasts), where=lasts > 0)
-    return before[j] + since * (net[j, 0] + 0.5 * since * slope[j])
 
 
 def best_offset(operation: LineOperation, profiles: Profiles) -> Timetable:
@@ -155,6 +143,7 @@ def find_timetable(
     seed: int = 0,
     moves: int = MOVES,
     restarts: int = RESTARTS,
+    adapted: bool = False,
 ) -> tuple[Timetable, Profiles]:
     """Search for the timetable of least energy, and the plan of each trip, by annealing.
 
@@ -170,6 +159,8 @@ def find_timetable(
         seed: Seed of the moves.
         moves: Moves tried from each start.
         restarts: Starts.
+        adapted: Adapt the plans of the best timetables found to the other trains of each zone, see
+            :func:`adapt_plans`.
     """
     random = np.random.default_rng(seed)
     score, plain = _Score(operation, plans), best_offset(operation, plans[0])
@@ -187,9 +178,11 @@ def find_timetable(
     for start, warmth in zip(starts, warmths, strict=False):
         found = _anneal(score, longest, start, random, (moves, warmth))
         timetables.append(timetable_of(operation, found))
-    tried = [(each, *choose_plans(operation, each, plans, longest)) for each in timetables]
-    timetable, profiles, _ = min(tried, key=lambda each: each[2])
-    return timetable, profiles
+    tried = [(each, choose_plans(operation, each, plans, longest)[0]) for each in timetables]
+    tried.sort(key=lambda each: operation.energy(*each).supplied_j)
+    if adapted:
+        tried = [(each, adapt_plans(operation, each, profiles)) for each, profiles in tried[:ADAPTED]]
+    return min(tried, key=lambda each: operation.energy(*each).supplied_j)
 
 
 def _plain(operation: LineOperation) -> SearchState:
@@ -230,13 +223,10 @@ def _find_shortest(score: _Score) -> SearchState:
     there = (path.dwell_change_s + odd * (-1) ** np.cumsum(odd)) // 2
     state.dwell[: count - 1] += there
     state.dwell[count : 2 * count - 1] += (path.dwell_change_s - there)[::-1]
-    arrives_s = path.arrives_s
-    for k in range(count):
-        state.plan[[k, -1 - k]] = best[k][arrives_s % headway_s]
-        arrives_s -= costs[k].planned_s + 2 * options.dwell_s
-        arrives_s -= int(path.dwell_change_s[k]) if k < count - 1 else 0
+    for k, arrives_s in enumerate(path.arrives_s):
+        state.plan[[k, -1 - k]] = best[k][arrives_s]
     # the first section is the last one of the backward direction
-    departs_s = path.arrives_s - running[-1] - int(np.sum((state.running + state.dwell)[count:-1]))
+    departs_s = int(path.arrives_s[0]) - running[-1] - int(np.sum((state.running + state.dwell)[count:-1]))
     state.offset = departs_s % headway_s
     return state
 

@@ -315,7 +315,7 @@ def _columns(p: Programme, first: int, exchanged: bool) -> tuple[dict[str, ndarr
         "e": recovers,
         "w": bool(p.dwells),
         "late": p.late_w is not None,
-        "cost": not p.prices.traction.single,
+        "cost": not (p.prices.traction.single and p.prices.surplus_w is None),
         "gain": recovers
         and not (p.prices.recovered.single and p.prices.received_w is None and not exchanged),
     }
@@ -378,7 +378,14 @@ def _price_rows(p: Programme, rows: ConstraintRows, at: dict[str, ndarray]) -> N
     ):
         if name in at:
             for slope, offset in zip(*lines, strict=True):
-                rows.add([(at[force], sign * slope), (at[name], -sign)], -sign * offset, offset.size)
+                terms = [(at[force], sign * slope), (at[name], -sign)]
+                if name == "cost" and p.prices.surplus_w is not None:
+                    # over a segment no less than what exceeds this power in its time
+                    here = p.loads.segment
+                    terms.append((at["t"][here], -p.prices.surplus_w / p.mesh.length_m[here]))
+                rows.add(terms, -sign * offset, offset.size)
+    if "cost" in at and p.prices.surplus_w is not None:
+        rows.add([(at["cost"], -1.0)], 0.0, at["cost"].size)
     if "gain" in at and p.prices.received_w is not None:
         # over a segment no more than this power in its time
         some = np.flatnonzero(np.isfinite(p.prices.received_w))

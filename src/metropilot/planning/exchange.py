@@ -9,7 +9,8 @@ excess allowed.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from copy import copy
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -22,10 +23,8 @@ from metropilot.planning.cone_program import Exchange, TimeBound
 from metropilot.planning.optimal import solve_together_until_settled, solve_until_settled
 from metropilot.planning.received import ReceivedEnergy
 
-GROUP_S = 5.0
-"""Time in which a plan passes a group of segments, about."""
-PROBE_S, EVERY = 6.0, 2
-"""How much earlier or later than the plan a drive is asked to be, at every second edge of a group."""
+PROBED_S, PROBES_S = 10.0, (1.5, 3.0, 6.0)
+"""Every so many seconds of the plan drives are asked to be earlier or later there, by so much."""
 SPARE = 1.08
 """Share of the time of the flat-out run below which nobody is asked to be."""
 
@@ -42,6 +41,22 @@ class Passing(NamedTuple):
     before_s: Float[ndarray, " groups"]
 
 
+class _Probe(NamedTuple):
+    """Least energy of drives that are no longer on a part of the section than a time.
+
+    Attributes:
+        asked_s: Time on the part.
+        energy_j: Least energy, in the planned running time.
+        part_w: What one second more on the part saves.
+        whole_w: What one second more of running time saves.
+    """
+
+    asked_s: float
+    energy_j: float
+    part_w: float
+    whole_w: float
+
+
 class ExchangeTrip:
     """One trip: its least energy with all received, its groups, and when it passes them.
 
@@ -50,6 +65,7 @@ class ExchangeTrip:
         track: Section.
         time_s: Planned running time.
         changes_s: Changes of it that a timetable may make, increasing.
+        group_s: Time in which the plan passes a group of segments, about.
 
     Attributes:
         time_s: Planned running time.
@@ -58,10 +74,15 @@ class ExchangeTrip:
     """
 
     def __init__(
-        self, vehicle: Vehicle, track: Track, time_s: float, changes_s: Sequence[int] = (0,)
+        self,
+        vehicle: Vehicle,
+        track: Track,
+        time_s: float,
+        changes_s: Sequence[int] = (0,),
+        group_s: float = 5.0,
     ) -> None:
         energy = ReceivedEnergy(vehicle, track, time_s)
-        self.time_s, self.longest_s = time_s, time_s + changes_s[-1]
+        self.time_s = time_s
         self.programme, self.flat_s = energy.programme, energy.clock_s
         self.mass_kg = float(self.programme.table.mass_kg)
         answer, _ = solve_until_settled(self.programme, energy.energy)
@@ -71,11 +92,26 @@ class ExchangeTrip:
         clock = np.concatenate([[0.0], np.cumsum(answer.time)])
         self._clock_s = clock * time_s / clock[-1]
         count = answer.time.size
-        inner = np.searchsorted(self._clock_s, np.arange(GROUP_S, time_s - 0.5 * GROUP_S, GROUP_S))
-        self._edges = np.unique(np.clip(inner, 1, count - 1))
-        self.group = np.searchsorted(self._edges, np.arange(count), side="right")
-        self._early = [self._probe(0, int(edge)) for edge in self._edges[::EVERY]]
-        self._late = [self._probe(int(edge), count) for edge in self._edges[::EVERY]]
+        self._probed = self._nodes_every(PROBED_S)
+        self._early = [self._probes(0, node) for node in self._probed.tolist()]
+        self._late = [self._probes(node, count) for node in self._probed.tolist()]
+        self.divide(group_s)
+
+    def regroup(self, group_s: float) -> ExchangeTrip:
+        """The same in other groups."""
+        other = copy(self)
+        other.divide(group_s)
+        return other
+
+    def divide(self, group_s: float) -> None:
+        """Divide the section into other groups."""
+        self._edges = self._nodes_every(group_s)
+        self.group = np.searchsorted(self._edges, np.arange(self._clock_s.size - 1), side="right")
+
+    def _nodes_every(self, seconds: float) -> Int[ndarray, " nodes"]:
+        """Nodes that the plan passes about so many seconds one after the other, without both ends."""
+        at_s = np.arange(seconds, self.time_s - 0.5 * seconds, seconds)
+        return np.unique(np.clip(np.searchsorted(self._clock_s, at_s), 1, self._clock_s.size - 2))
 
     def _least_j(self, change_s: int) -> float:
         """Least energy in another running time."""
@@ -92,38 +128,45 @@ class ExchangeTrip:
         """Number of groups."""
         return self._edges.size + 1
 
-    def _probe(self, first: int, last: int) -> tuple[float, float, float, float]:
-        """Time on a part, least energy of drives that take no longer there, and what a second saves there."""
+    def _probes(self, first: int, last: int) -> list[_Probe]:
+        """Drives that are faster on a part, as far as the flat-out run allows."""
         flat_s = float(self.flat_s[last] - self.flat_s[first])
-        asked_s = float(self._clock_s[last] - self._clock_s[first]) - PROBE_S
-        if asked_s < SPARE * flat_s + 0.2:
-            return flat_s, 0.0, 0.0, 0.0
-        whole = TimeBound(0, self._clock_s.size - 1, None, self.time_s)
-        bounds = whole, TimeBound(first, last, None, asked_s)
-        answer, _ = solve_until_settled(replace(self.programme, bounds=bounds), self.energy)
-        whole_w, part_w = (second * self.mass_kg for second in answer.seconds)
-        return asked_s, answer.dual * self.mass_kg, part_w, whole_w
+        planned_s = float(self._clock_s[last] - self._clock_s[first])
+        found = [_Probe(flat_s, 0.0, 0.0, 0.0)]
+        for early_s in PROBES_S:
+            asked_s = planned_s - early_s
+            if asked_s < SPARE * flat_s + 0.2:
+                break
+            whole = TimeBound(0, self._clock_s.size - 1, None, self.time_s)
+            bounds = whole, TimeBound(first, last, None, asked_s)
+            answer, _ = solve_until_settled(replace(self.programme, bounds=bounds), self.energy)
+            whole_w, part_w = (second * self.mass_kg for second in answer.seconds)
+            found.append(_Probe(asked_s, answer.dual * self.mass_kg, part_w, whole_w))
+        return found
 
-    def passing(self, excess_j: float) -> Passing:
-        """Find when drives of at most so much more than the least pass the groups, in any time allowed."""
-        edges = self._edges
-        after, before = self.flat_s[edges].copy(), self.flat_s[-1] - self.flat_s[edges]
+    def passing(self, excess_j: float, running_s: Iterable[int]) -> Passing:
+        """Find when drives of at most so much more than the least pass the groups, in these running times."""
+        changes = [s - round(self.time_s) for s in running_s]
+        after, before = np.zeros((2, self.flat_s.size))
         for least_s, probes in ((after, self._early), (before, self._late)):
-            found = [self._least_s(probe, excess_j) for probe in probes]
-            least_s[::EVERY] = np.maximum(least_s[::EVERY], found)
+            least_s[self._probed] = [
+                max(self._least_s(probe, excess_j, changes) for probe in each) for each in probes
+            ]
+        # from one place to the next none is faster than the flat-out run
+        left_s = self.flat_s[-1] - self.flat_s
+        after = self.flat_s + np.maximum.accumulate(np.maximum(after - self.flat_s, 0.0))
+        before = left_s + np.maximum.accumulate(np.maximum(before - left_s, 0.0)[::-1])[::-1]
         return Passing(
-            np.concatenate([[0.0], np.maximum.accumulate(after)]),
-            np.concatenate([np.maximum.accumulate(before[::-1])[::-1], [0.0]]),
+            np.concatenate([[0.0], after[self._edges]]), np.concatenate([before[self._edges], [0.0]])
         )
 
-    def _least_s(self, probe: tuple[float, float, float, float], excess_j: float) -> float:
+    def _least_s(self, probe: _Probe, excess_j: float, changes_s: Sequence[int]) -> float:
         """Least time on a part: the cost is convex in it and in the running time, so above its tangent."""
-        asked_s, energy_j, part_w, whole_w = probe
-        if part_w <= 0.0:
+        if probe.part_w <= 0.0:
             return 0.0
         # the excess is that over the least energy in the same running time
-        most_j = excess_j + max(least_j + whole_w * change for change, least_j in self.least_j.items())
-        return asked_s - (most_j - energy_j) / part_w
+        most_j = excess_j + max(self.least_j[change] + probe.whole_w * change for change in changes_s)
+        return probe.asked_s - (most_j - probe.energy_j) / probe.part_w
 
 
 class PairBound(NamedTuple):

@@ -53,6 +53,8 @@ class Prices(NamedTuple):
         energy_at: The kinetic energy it is taken at. Shape (U,).
         received_w: Most power of recovered braking that is worth anything, W per kg; None: all of it.
             Shape (U,).
+        surplus_w: Power that others return and nobody else takes, W per kg: traction up to it costs nothing;
+            None: no such. Shape (U,).
     """
 
     traction: Facets
@@ -61,6 +63,7 @@ class Prices(NamedTuple):
     energy: Float[ndarray, " loads"]
     energy_at: Float[ndarray, " loads"]
     received_w: Float[ndarray, " loads"] | None = None
+    surplus_w: Float[ndarray, " loads"] | None = None
 
 
 def constant_line(value: float, segments: int) -> Facets:

@@ -7,9 +7,11 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
+from numpy import ndarray
 
+from metropilot._typing import Float
 from metropilot.physics import Track, Vehicle
-from metropilot.planning.cone_program import Programme, TimeBound
+from metropilot.planning.cone_program import Answer, Programme, TimeBound
 from metropilot.planning.effort_table import specific
 from metropilot.planning.fastest import fastest_profile, relaxed_cap, times
 from metropilot.planning.loads import build_loads
@@ -84,9 +86,20 @@ class ReceivedEnergy:
     def plan(self, own_w: float, receivers: Iterable[Receiver] = ()) -> Plan:
         """Plan of least net energy; its ``energy_j`` counts all that it returns as received."""
         found = self.bound(own_w, receivers)
-        programme, options = self.programme, PlanOptions(objective="line")
-        plan = evaluate_profile(self._vehicle, programme.table, programme.mesh, self.energy, options)
-        return replace(plan, bound_j=found.bound_j, second_w=found.second_w)
+        return replace(self._evaluate(), bound_j=found.bound_j, second_w=found.second_w)
+
+    def plan_beside(self, others_w: Float[ndarray, " segments"], speed_mps: Float[ndarray, " nodes"]) -> Plan:
+        """Plan of least net energy beside trains whose power is known while each segment is passed.
+
+        Args:
+            others_w: What all others and the trainset itself draw less what others return. So much of the
+                power that the plan returns is received; where it is negative, so much of what it draws costs
+                nothing. Shape (N,).
+            speed_mps: Speeds at the nodes of the drive that passes the segments then. Shape (N+1,).
+        """
+        self.energy = 0.5 * speed_mps**2
+        self._solve(np.maximum(others_w, 0.0), np.maximum(-others_w, 0.0))
+        return self._evaluate()
 
     def bound(self, own_w: float, receivers: Iterable[Receiver]) -> TripBound:
         """Least net energy of any drive.
@@ -100,9 +113,19 @@ class ReceivedEnergy:
         for each in receivers:
             reached = clock_s[:-1] < each.first_s
             taken_w[reached & (clock_s[1:] > clock_s[-1] - each.last_s)] += each.power_w
+        answer = self._solve(taken_w)
+        return TripBound(answer.dual * mass_kg, answer.second * mass_kg)
+
+    def _solve(self, taken_w: ndarray, surplus_w: ndarray | None = None) -> Answer:
+        mass_kg = self.programme.table.mass_kg
         prices = self.programme.prices._replace(
-            received_w=None if np.isinf(taken_w).all() else taken_w / mass_kg
+            received_w=None if np.isinf(taken_w).all() else taken_w / mass_kg,
+            surplus_w=None if surplus_w is None else surplus_w / mass_kg,
         )
         answer, _ = solve_until_settled(replace(self.programme, prices=prices), self.energy)
         self.energy = answer.energy
-        return TripBound(answer.dual * mass_kg, answer.second * mass_kg)
+        return answer
+
+    def _evaluate(self) -> Plan:
+        programme, options = self.programme, PlanOptions(objective="line")
+        return evaluate_profile(self._vehicle, programme.table, programme.mesh, self.energy, options)
