@@ -132,7 +132,7 @@ class ExchangeTrip:
         """Drives that are faster on a part, as far as the flat-out run allows."""
         flat_s = float(self.flat_s[last] - self.flat_s[first])
         planned_s = float(self._clock_s[last] - self._clock_s[first])
-        found = [_Probe(flat_s, 0.0, 0.0, 0.0)]
+        found: list[_Probe] = []
         for early_s in PROBES_S:
             asked_s = planned_s - early_s
             if asked_s < SPARE * flat_s + 0.2:
@@ -150,7 +150,8 @@ class ExchangeTrip:
         after, before = np.zeros((2, self.flat_s.size))
         for least_s, probes in ((after, self._early), (before, self._late)):
             least_s[self._probed] = [
-                max(self._least_s(probe, excess_j, changes) for probe in each) for each in probes
+                max((self._least_s(probe, excess_j, changes) for probe in each), default=0.0)
+                for each in probes
             ]
         # from one place to the next none is faster than the flat-out run
         left_s = self.flat_s[-1] - self.flat_s
