@@ -90,3 +90,26 @@ def test_an_emergency_takes_nothing_back_from_a_stronger_service_brake(guarantee
         state = physics.step(vehicle, track, state, physics.Command(-1.0, True), DT)
         assert -state.acceleration_mps2 >= 1.0 - 1e-9
     assert -state.acceleration_mps2 == pytest.approx(expected_mps2)
+
+
+def test_brakes_are_controlled_to_a_rate_behind_dead_time_and_lag():
+    """A command that leads the lag passes, and no command exceeds the rate; before, a lead was cut at it."""
+    trainset = cases.trainset(actuation=Actuation(0.4, 0.6, 100.0))
+    vehicle, track = cases.plant(
+        cases.section(cases.random_steps(np.random.default_rng(4), -20.0, 20.0)), trainset
+    )
+
+    def decelerations(commands, most_mps2):
+        state, found = physics.at_rest(vehicle, delay_steps=2, speed_mps=20.0), []
+        for share in commands:
+            own, most_n = physics.control_brakes(vehicle, track, state, most_mps2)
+            state = physics.step(own, track, state, physics.Command(share), DT, most_brake_n=most_n)
+            found.append(-float(state.acceleration_mps2))
+        return np.array(found)
+
+    leads = [-1.0, -1.0, *[-0.4] * 18]
+    rate = 1.01 * decelerations(leads, np.inf).max()
+    np.testing.assert_allclose(decelerations(leads, rate), decelerations(leads, np.inf), rtol=1e-12)
+    full = decelerations([-1.0] * 20, rate)
+    assert full.max() == pytest.approx(rate, abs=1e-3)
+    assert full.max() < 0.9 * decelerations([-1.0] * 20, np.inf).max()

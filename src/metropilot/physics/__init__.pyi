@@ -49,9 +49,9 @@ from .multibody import substeps as substeps
 from .plant import INTEGRATORS as INTEGRATORS
 from .plant import Command as Command
 from .plant import at_rest as at_rest
+from .plant import control_brakes as control_brakes
 from .plant import delay_steps as delay_steps
 from .plant import kept_share as kept_share
-from .plant import limit_deceleration as limit_deceleration
 from .plant import push_command as push_command
 from .plant import stays_at_rest as stays_at_rest
 from .plant import step as step

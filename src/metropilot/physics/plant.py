@@ -153,6 +153,7 @@ def wheel_force(
     emergency: Flag,
     resisting_n: Scalar,
     dt: Scalar,
+    most_brake_n: Scalar | None = None,
 ) -> Scalar:
     """Signed wheel force of this step: the effort asked for, reached no faster than the jerk limit allows.
 
@@ -164,9 +165,12 @@ def wheel_force(
         emergency: True for the emergency brake.
         resisting_n: Resistance and gradient.
         dt: Control period, s.
+        most_brake_n: Largest force of a brake that is controlled to a deceleration; None: it is not.
     """
     xp = namespace(acceleration_mps2, share)
-    asked = effort.force_n(share)
+    asked, strongest_n = effort.force_n(share), effort.brake_n
+    if most_brake_n is not None:
+        asked, strongest_n = xp.maximum(asked, -most_brake_n), xp.minimum(strongest_n, most_brake_n)
     # Of the two brakes the stronger one acts: an emergency never takes back what the service brake gives.
     emergency = emergency & (asked >= -vehicle.emergency_n)
     wanted = xp.where(emergency, -vehicle.emergency_n, asked)
@@ -175,7 +179,7 @@ def wheel_force(
     room = jerk * dt
     accel = xp.clip(target, acceleration_mps2 - room, acceleration_mps2 + room)
     force = accel * vehicle.effective_mass_kg + resisting_n
-    floor = xp.where(emergency, vehicle.emergency_n, effort.brake_n)
+    floor = xp.where(emergency, vehicle.emergency_n, strongest_n)
     return xp.clip(force, -floor, effort.traction_n)
 
 
@@ -193,7 +197,13 @@ def split(effort: Effort, force_n: Scalar) -> tuple[Scalar, Scalar, Scalar]:
 
 
 def step(
-    vehicle: Vehicle, track: Track, state: State, command: Command, dt: Scalar, integrator: str = "held"
+    vehicle: Vehicle,
+    track: Track,
+    state: State,
+    command: Command,
+    dt: Scalar,
+    integrator: str = "held",
+    most_brake_n: Scalar | None = None,
 ) -> State:
     """One control period of the plant.
 
@@ -208,6 +218,7 @@ def step(
         command: Command given at the start of the period.
         dt: Control period, s.
         integrator: A key of ``INTEGRATORS``.
+        most_brake_n: Largest force of a brake that is controlled (:func:`control_brakes`); None: it is not.
 
     Returns:
         The state at the end of the period, or at the stop.
@@ -219,7 +230,9 @@ def step(
     effort = effort_at(vehicle, v)
     # The clock is a sum of periods and rounded; a thousandth of one decides in favour of the brake.
     emergency = command.emergency & (state.emergency_s >= vehicle.emergency_delay_s - 1e-3 * dt)
-    force = wheel_force(vehicle, state.acceleration_mps2, effort, share, emergency, resistance + gradient, dt)
+    resisting = resistance + gradient
+    before = state.acceleration_mps2
+    force = wheel_force(vehicle, before, effort, share, emergency, resisting, dt, most_brake_n)
     accel = (force - resistance - gradient) / vehicle.effective_mass_kg
 
     @no_type_check
@@ -266,31 +279,23 @@ def step(
     )
 
 
-def limit_deceleration(
-    vehicle: Vehicle, track: Track, state: State, command: Command, most_mps2: Scalar
-) -> tuple[Vehicle, Command]:
-    """Trainset and command for the coming period, its brakes controlled to a total deceleration.
+def control_brakes(vehicle: Vehicle, track: Track, state: State, most_mps2: Scalar) -> tuple[Vehicle, Scalar]:
+    """Trainset for the coming period, and the largest force of its brakes, controlled to a deceleration.
 
     The emergency brake asks for what gradient and resistance leave of the rate, as far as its own force and
     the adhesion reach. The service brake gives what was asked for, and no more than that. Trainsets that run
     close behind each other need it: with the same brake force, a few permille of difference between their
-    gradients part their stopping points by many metres.
+    gradients part their stopping points by many metres. The control acts at the brake, behind dead time and
+    lag: a command that leads a lag passes it.
 
     Args:
         vehicle: The trainset.
         track: The section.
         state: State at the start of the period.
-        command: Command, a share of the braking force without control.
         most_mps2: Total deceleration, gradient and resistance included; infinite leaves the brakes alone.
     """
     xp = namespace(state.position_m, most_mps2)
     resistance, gradient = resistance_and_gradient(vehicle, track, state.position_m, state.speed_mps)
-    wanted = xp.maximum(most_mps2 * vehicle.effective_mass_kg - (resistance + gradient), 0.0)
-    free = effort_at(vehicle, state.speed_mps).brake_n
-    held = xp.minimum(free, wanted)
-    share = xp.where(command.share < 0.0, command.share * free / xp.maximum(held, 1.0), command.share)
+    most_n = xp.maximum(most_mps2 * vehicle.effective_mass_kg - (resistance + gradient), 0.0)
     reach = xp.minimum(vehicle.emergency_n, vehicle.adhesion_n)
-    vehicle = vehicle._replace(
-        emergency_n=xp.minimum(wanted, reach), service_n=xp.minimum(wanted, vehicle.service_n)
-    )
-    return vehicle, Command(xp.clip(share, -1.0, 1.0), command.emergency)
+    return vehicle._replace(emergency_n=xp.minimum(most_n, reach)), most_n

@@ -19,7 +19,7 @@ from metropilot.physics import (
     State,
     Track,
     Vehicle,
-    limit_deceleration,
+    control_brakes,
     locate,
     namespace,
     scalars,
@@ -143,10 +143,10 @@ def control_period(
         )
         # ``^ True`` negates arrays, tracers and plain bools alike; NaN compares false and so counts.
         intervened = (verdict.level > 0) | (abs(wanted.share) < float("inf")) ^ True
-    vehicle, applied = params.vehicle, command
+    vehicle, most_n = params.vehicle, None
     if params.most_mps2 is not None:
-        vehicle, applied = limit_deceleration(vehicle, params.track, plant, command, params.most_mps2)
-    after = step(vehicle, params.track, plant, applied, params.dt)
+        vehicle, most_n = control_brakes(vehicle, params.track, plant, params.most_mps2)
+    after = step(vehicle, params.track, plant, command, params.dt, most_brake_n=most_n)
 
     xp = namespace(after.speed_mps)
     stopped = (plant.speed_mps > 0.0) & (after.speed_mps <= 0.0)
