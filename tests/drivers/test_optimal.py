@@ -186,7 +186,7 @@ def test_the_first_plan_begins_when_the_first_command_acts():
 
 @pytest.mark.parametrize("driver", ["optimal", "mpc"])
 def test_dead_time_and_lag_cost_little(driver):
-    """On the shortest section (0.026 and 0.059 before); the trainset itself loses 0.015 of it."""
+    """On the shortest section; the trainset itself loses 0.015 of it, and 0.002 are its gentle end."""
     gaps = []
     for trainset in (load_trainset("dkz32"), LATE_TRAINSET):
         run = replace(run_of("YZQ", "WHY", time_s=90.0), trainset=trainset)
@@ -196,4 +196,16 @@ def test_dead_time_and_lag_cost_little(driver):
         assert abs(done.running_time_s - run.scheduled_time_s) <= 0.5
         assert done.trajectory.jerk_mps3.max() <= 1.05
         gaps.append(gap(done))
-    assert gaps[1] - gaps[0] <= 0.022
+    assert gaps[1] - gaps[0] <= 0.024
+
+
+@pytest.mark.parametrize(("actuation", "ratio"), [((0.21, 0.37), 1.1), ((0.2, 0.6), 1.16), ((0.3, 0.6), 1.1)])
+def test_a_brake_with_a_long_lag_and_a_soft_jerk_limit_is_let_go_before_the_stand(actuation, ratio):
+    """It was eased, put on again, and still on at the stand: 2.7, 2.8 and 2.7 times the limit."""
+    trainset = replace(load_trainset("cheng2023"), actuation=Actuation(*actuation, 0.64))
+    section = load_line("yizhuang").section("XC", "SJZ")
+    run = Run(section, trainset, ratio * minimum_running_time(section, trainset), dt=0.1)
+    done = drive(run, DRIVERS.make("optimal"))
+    check_safe_stop(done)
+    assert np.abs(done.trajectory.jerk_mps3).max() <= 1.05 * 0.64
+    assert abs(done.trajectory.position_m[-1] - section.length_m) <= 0.01

@@ -48,6 +48,8 @@ SOFT_SHARE = 0.8
 """Deceleration with which a gentle stop ends, over what the jerk limit lets drop in one period..."""
 SOFT_S = 1.5
 """...from this time before the stand on."""
+LAG_SOFT_M = 0.04
+"""Error that is accepted for a gentle end where a lag drags every correction on."""
 SCARCE_GAIN = 2.5
 """Correction of a stop that needs more than the brake will give later, beyond what the stop needs..."""
 SCARCE_SHARE = 0.96
@@ -392,9 +394,9 @@ def stop_deceleration(
 ) -> StopDemand:
     """Deceleration of the coming period on the way to a stop.
 
-    While held it is corrected toward the planned one; during the release it is the mean over the period; in
-    the last period it is the constant deceleration that stops at the target. It never exceeds what can be
-    released before standstill.
+    While held it is corrected toward the planned one, as far as that can be let go before standstill; during
+    the release it is the mean over the period; in the last period it is the constant deceleration that stops
+    at the target. It never exceeds what can be released before standstill.
 
     Args:
         speed_mps: Speed when the command begins to act.
@@ -410,7 +412,9 @@ def stop_deceleration(
     gain = xp.where(curve.release_jerk_mps3 < AT_ONCE_MPS3, options.return_gain, options.at_once_gain)
     # A departure is not corrected at the cost of the last periods: they would have to make up for it.
     gain = gain * xp.clip(0.5 * v / (xp.maximum(required, LEAST_MPS2) * dt) - 1.0, 0.0, 1.0)
-    held = xp.maximum(required + gain * (required - curve.deceleration_mps2), 0.0)
+    # Where the planned one could not be let go before the stand, there is nothing to return to.
+    planned = _attainable_deceleration(xp, v, curve, 0.0)
+    held = xp.maximum(required + gain * (required - planned), 0.0)
     released = required - 0.5 * falling * dt
     last = v * v / (2.0 * xp.maximum(s, NEAREST_M))
     released = xp.where(v <= released * dt, last, released)

@@ -19,6 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from metropilot.control import (
+    LAG_SOFT_M,
     Adaptation,
     Ceiling,
     Model,
@@ -69,7 +70,7 @@ CAREFUL_STOP = StopOptions(release_share=0.95)
 LATE_STOP = StopOptions(build_share=0.9, release_share=0.5, end_share=0.125)
 """The same where dead time or lag are in the bounds: what is on its way cannot be taken back, and the rest of
 the jerk limit is there to correct the error."""
-LAG_STOP = replace(LATE_STOP, soft_m=0.1)
+LAG_STOP = replace(LATE_STOP, soft_m=LAG_SOFT_M)
 """The same under a declared lag."""
 NEAR_ENOUGH_M = 0.1
 """An error at the stop that is not worth the time a correction takes."""

@@ -25,6 +25,7 @@ import numpy as np
 
 from metropilot._typing import Scalar
 from metropilot.control import (
+    LAG_SOFT_M,
     STOP_OPTIONS,
     PredictedState,
     StopOptions,
@@ -61,9 +62,8 @@ PULL_S, BRAKE_S, HARSH_MPS2 = 0.1, 0.5, 1e3
 """Times beyond the lag in which spare gap is used, and a lack of it made up for; no limit of acceleration."""
 SHIFT_M = 0.5
 """Departure of the trainset ahead at its stop that does not move the own mark."""
-RELEASE_SHARE, LAG_RELEASE_SHARE, LAG_SOFT_M = 0.8, 0.3, 0.1
-"""Jerk of the last release over the jerk limit, without and with a lag; and with a lag the error that is
-accepted for a gentle end."""
+RELEASE_SHARE, LAG_RELEASE_SHARE = 0.8, 0.3
+"""Jerk of the last release over the jerk limit, without and with a lag."""
 
 
 class PlaceMemory(NamedTuple):
