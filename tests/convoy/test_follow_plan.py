@@ -12,6 +12,7 @@ from metropilot.convoy.model import convoy_members, open_channel
 from metropilot.convoy.own_plant import look_ahead, own_plant
 from metropilot.convoy.place import place_behind
 from metropilot.convoy.plan import MotionPlan, plan_at, plan_times
+from metropilot.convoy.rollout import ConvoyRollout
 from metropilot.convoy.step import (
     HALF,
     SPARE_M,
@@ -412,3 +413,23 @@ def test_who_stands_at_the_mark_does_not_creep_on():
     asked = replace(asked, head=replace(asked.head, time_s=time_s))
     kpis = convoy_kpis(asked.drive(), time_s)
     assert kpis.success, kpis.verdict
+
+
+def test_nobody_stops_again_for_a_plan_that_is_made_anew_at_departure():
+    """Each planned on from where it should have been; departures grew along the convoy until three stood."""
+    asked = request(stops=("TJN", "JHL"), time_s=185.0, count=8, link=Link(0.2, 0.05, 0.05))
+    asked = replace(asked, disturbances=masses(1.196, 1.078, 0.918, 0.817, 0.805, 0.857, 1.014, 1.096))
+    convoy = asked.convoy()
+    rollout = ConvoyRollout(convoy, asked.driven_head(convoy), asked.make_follower(), 30)
+    moved = np.zeros(8, bool)
+    for _ in range(120):
+        before = [state.plant.acceleration_mps2 for state in rollout.states]
+        rollout.advance()
+        moves = np.array([state.plant.speed_mps > 0.0 for state in rollout.states])
+        assert not (moved & ~moves).any()
+        moved |= moves
+        changes = [s.plant.acceleration_mps2 - a for s, a in zip(rollout.states, before, strict=True)]
+        assert np.abs(changes).max() <= 1.0 * DT + 1e-6
+    assert moved.all()
+    numbers = [len(plans) for plans in rollout.plans]
+    assert min(numbers[1:]) > 1, numbers

@@ -70,7 +70,12 @@ PlannedGap = Callable[[ndarray], ndarray]
 
 
 def place_behind(
-    ahead: MotionPlan, member: Member, length_ahead_m: float, now_s: float, planned_gap: PlannedGap
+    ahead: MotionPlan,
+    member: Member,
+    length_ahead_m: float,
+    now_s: float,
+    planned_gap: PlannedGap,
+    now: PlannedMotion | None = None,
 ) -> MotionPlan:
     """Planned motion of a follower behind that of the trainset ahead (NumPy).
 
@@ -83,6 +88,7 @@ def place_behind(
         length_ahead_m: Length of the trainset ahead.
         now_s: Time from which the motion can be changed.
         planned_gap: Gap planned so far.
+        now: Motion at that time; None: at the gap planned so far.
     """
     rows = ahead.position_m.size
     ahead = stand_on(ahead, round(_closing_s(member) / float(ahead.period_s)))
@@ -90,6 +96,10 @@ def place_behind(
     rear = ahead.position_m - length_ahead_m
     first = min(max(round((now_s - times[0]) / dt), 0), times.size - 2)
     before = rear[: first + 1] - planned_gap(times[: first + 1])
+    if now is None:
+        now = _motion_now(before, dt)
+    # Departures from earlier plans, its own and those ahead, are not planned on with.
+    before = before + (now.position_m - before[-1])
     base = ahead._replace(position_m=rear - float(member.gap_m))
     need = None
     if member.protection is not None:
@@ -103,7 +113,7 @@ def place_behind(
         wanted = base._replace(position_m=rear - gap, speed_mps=np.maximum(ahead.speed_mps - opening, 0.0))
     else:
         wanted = delay_motion(base, needed_delay(member, need, base, first, float(before[-1])))
-    own = make_drivable(member, wanted, first, _motion_now(before, dt))
+    own = make_drivable(member, wanted, first, now)
     position_m = np.concatenate([before[:-1], own.position_m])
     speed_mps = np.concatenate([np.gradient(position_m[: first + 2], dt)[:first], own.speed_mps])
     own = own._replace(position_m=position_m, speed_mps=speed_mps)

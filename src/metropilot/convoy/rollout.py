@@ -17,7 +17,7 @@ from metropilot.convoy.manoeuvre import check_manoeuvres, plan_followers
 from metropilot.convoy.model import Convoy, Link, Member, convoy_members
 from metropilot.convoy.own_plant import learn, learned_vehicle, own_plant
 from metropilot.convoy.place import manoeuvres, place_behind
-from metropilot.convoy.plan import STANDING_MPS, MotionPlan, plan_at, plan_times, splice
+from metropilot.convoy.plan import STANDING_MPS, MotionPlan, PlannedMotion, plan_at, plan_times, splice
 from metropilot.convoy.step import (
     UNLIMITED_MPS,
     FollowerObservation,
@@ -432,8 +432,13 @@ class ConvoyRollout:
 
         if known is not None:
             plan = splice(known.ahead, plan)
+        plant, motion = self.states[k].plant, None
+        if known is not None and not manoeuvres(member):
+            a = float(plant.acceleration_mps2)
+            v = max(float(self.plants[k].motion.speed_mps) + a * self.dt, 0.0)
+            motion = PlannedMotion(float(plant.position_m), v, a)
         own = place_behind(
-            plan, member._replace(believed=self.known_vehicle(k)), length_m, now_s, planned_gap
+            plan, member._replace(believed=self.known_vehicle(k)), length_m, now_s, planned_gap, motion
         )
         rear = plan._replace(position_m=plan.position_m - length_m)
         self.plans[k].append((now_s, own))
