@@ -211,3 +211,16 @@ def test_other_brakes_are_answered(driver, trainset, actuation, place, ratio, dt
     assert found.outcome is Outcome.ARRIVED
     assert found.interventions == 0
     assert abs(float(found.trajectory.position_m[-1]) - section.length_m) <= 0.1
+
+
+@pytest.mark.parametrize("dt", [0.2, 0.5])
+@pytest.mark.parametrize("driver", ["eitoe", "eitop", "itor"])
+def test_noise_and_a_lag_do_not_jerk_at_the_stand(driver, dt):
+    """Their stop took the measured speed as it was, and corrected to the end: up to 3.2 times the limit."""
+    section = load_line("yizhuang").section("WHY", "WYJ")
+    world = Disturbance(delay_s=0.6, lag_s=0.4, mass_factor=0.8, speed_noise_mps=0.05)
+    run = Run(section, load_trainset("dkz32", "AW2"), float(section.planned_time_s), world, dt=dt)
+    found = drive(run, make_driver(driver))
+    assert found.interventions == 0
+    assert np.abs(found.trajectory.jerk_mps3).max() <= 1.05
+    assert abs(found.trajectory.position_m[-1] - section.length_m) <= 0.1

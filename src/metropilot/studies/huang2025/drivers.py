@@ -209,6 +209,8 @@ def decide(
     state = (observation.position_m, observation.speed_mps, observation.acceleration_mps2)
     overruled = observation.intervention > 0
     estimate = update_estimate(memory.model, memory.estimate, *state, overruled=overruled)
+    # noise of the measured speed would show in every command
+    state = (estimate.position_m, estimate.speed_mps, observation.acceleration_mps2)
     ground, actuation = memory.ground, memory.actuation
     if estimate.best != 0:
         # The answers contradict what is declared, which is the first hypothesis.

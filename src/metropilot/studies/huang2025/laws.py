@@ -35,6 +35,7 @@ import numpy as np
 from metropilot._schema import check_fields, declare
 from metropilot._typing import Array, Float, Scalar
 from metropilot.control import (
+    LAG_SOFT_M,
     STOP_OPTIONS,
     Ceiling,
     CommandActuation,
@@ -42,10 +43,12 @@ from metropilot.control import (
     Motion,
     PredictedState,
     StopCurve,
+    StopOptions,
     draws_up,
     predict_motion,
     predict_path,
     required_with_build_up,
+    settle,
     stop_deceleration,
     strongest,
     way_in_period,
@@ -654,6 +657,8 @@ CRAWL_M = 2.0
 """A trainset that coasts to a crawl is drawn up to the stop from this distance on; it is in time..."""
 LATE_CRAWL_MPS = 3.0
 """...and from so much farther off for each second of dead time and lag: traction acts too long there."""
+LAG_STOP = StopOptions(soft_m=LAG_SOFT_M)
+"""The stop under a lag ends gently."""
 DRAW_UP_M = 8.0
 """A trainset that stands no farther short of the stop than this is drawn up to it."""
 
@@ -781,5 +786,8 @@ def stop_share(
         begins = min(plan, CRAWL_SHARE * strongest(v, curve, dt))
         if sooner < begins and later <= begins / USE:
             return 0.0, False
-    wanted = stop_deceleration(v, a, distance, curve, dt).wanted_mps2
-    return ahead.command_for(ahead.resistance_mps2 - wanted), True
+    wanted = -stop_deceleration(v, a, distance, curve, dt).wanted_mps2
+    if actuation.lag_s > 0.0:
+        settles, gently = settle(v, a, distance, ground.jerk_mps3, dt, 0.0, 0.0, LAG_STOP)
+        wanted = gently if settles else wanted
+    return ahead.command_for(ahead.resistance_mps2 + wanted), True
