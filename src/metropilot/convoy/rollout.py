@@ -59,7 +59,7 @@ PATIENCE_S = 2.0
 """Least time between two plans that a departure calls for."""
 OUTDATED = 0.03
 """Change of the learned gain of the traction that calls for a new plan of a follower."""
-LATE_S, LEAD_S = 1.5, 2.7
+LATE_S, LEAD_S = 0.5, 2.7
 """Planned lateness of the last trainset from which on the head arrives earlier, and by how much at most."""
 LAST_M = 30.0
 """No new plan this close to the stop."""
