@@ -368,6 +368,7 @@ def test_an_acceleration_ends_before_the_gap_that_it_will_need(gap_m):
         ("follow_plan", "dkz32", ("RJ", "WYJ")),
         ("follow_mpc", "dkz32", ("RJ", "WYJ")),
         ("follow_plan", SLOW, ("RJ", "WYJ")),
+        ("follow_mpc", SLOW, ("RJ", "WYJ")),
     ],
 )
 def test_noise_in_the_measured_speed_neither_jerks_nor_overrules(follower, trainset, stops):

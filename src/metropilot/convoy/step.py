@@ -22,6 +22,8 @@ SPARE_M, SPARE_SHARE, SILENT_S = 0.2, 0.1, 0.4
 """Margins beyond the gap that protection needs: distance, command, and age of messages on a lossy link."""
 HALF = 0.5
 """Command between coasting and full traction at which the needed gap is evaluated too."""
+SHOWS_LAGS = 2.0
+"""Lags after its dead time until a command shows, to 86 %."""
 EASE_M = 2.0
 """Lack of gap at which a follower brakes fully."""
 REACTION_S = 1.0
@@ -92,6 +94,7 @@ class FollowerObservation(NamedTuple):
         held_mps2: Deceleration that it counts on: the gap needed grows by the own speed over it for each m/s.
         ahead_mps: Extrapolated speed of the trainset ahead.
         ahead_mps2: Its acceleration in the last message.
+        ahead_loses_mps: Speed that it is planned to lose until a command given now shows.
         age_s: Age of the last message.
         alarm: 1 if the trainset ahead reported an emergency brake, else 0.
         permitted_mps: Speed that protection permits for line limits.
@@ -120,6 +123,7 @@ class FollowerObservation(NamedTuple):
     held_mps2: Array
     ahead_mps: Array
     ahead_mps2: Array
+    ahead_loses_mps: Array
     age_s: Array
     alarm: Array
     permitted_mps: Array
@@ -355,9 +359,12 @@ def observe_member(
     rear = now.rear_m
     apart = plant.position_m >= member.uncouple_at_m
     desired_m, zero = xp.where(apart, member.apart_m, member.gap_m), 0.0 * rear
-    off = (zero, zero, zero)
+    off, loses_mps = (zero, zero, zero), zero
     if plans is not None:
         planned = plan_at(plans.ahead, message.stamp_s)
+        late_s = member.believed.delay_s + SHOWS_LAGS * member.believed.lag_s
+        then = plan_at(plans.ahead, now_s + late_s)
+        loses_mps = xp.maximum(plan_at(plans.ahead, now_s).speed_mps - then.speed_mps, 0.0)
         before = plan_at(plans.ahead, message.stamp_s - period_s)
         off = (
             message.rear_m - planned.position_m,
@@ -380,6 +387,7 @@ def observe_member(
         held_mps2=member.bounds.held_mps2,
         ahead_mps=now.speed_mps,
         ahead_mps2=now.acceleration_mps2,
+        ahead_loses_mps=loses_mps,
         age_s=now_s - message.stamp_s,
         alarm=message.emergency,
         permitted_mps=permitted_mps,
