@@ -94,7 +94,8 @@ class FollowerObservation(NamedTuple):
         held_mps2: Deceleration that it counts on: the gap needed grows by the own speed over it for each m/s.
         ahead_mps: Extrapolated speed of the trainset ahead.
         ahead_mps2: Its acceleration in the last message.
-        ahead_loses_mps: Speed that it is planned to lose until a command given now shows.
+        ahead_loses_mps: Speed that it is planned to lose until a command given now shows; 0 where measured
+            speeds have no error.
         age_s: Age of the last message.
         alarm: 1 if the trainset ahead reported an emergency brake, else 0.
         permitted_mps: Speed that protection permits for line limits.
@@ -359,12 +360,15 @@ def observe_member(
     rear = now.rear_m
     apart = plant.position_m >= member.uncouple_at_m
     desired_m, zero = xp.where(apart, member.apart_m, member.gap_m), 0.0 * rear
+    speed_error_mps = zero if member.protection is None else member.protection.rates.speed_error_mps
     off, loses_mps = (zero, zero, zero), zero
     if plans is not None:
         planned = plan_at(plans.ahead, message.stamp_s)
         late_s = member.believed.delay_s + SHOWS_LAGS * member.believed.lag_s
         then = plan_at(plans.ahead, now_s + late_s)
         loses_mps = xp.maximum(plan_at(plans.ahead, now_s).speed_mps - then.speed_mps, 0.0)
+        # What the errors of measured speeds leave of the gap is not enough for what a message says too late.
+        loses_mps = xp.where(speed_error_mps > 0.0, loses_mps, 0.0 * loses_mps)
         before = plan_at(plans.ahead, message.stamp_s - period_s)
         off = (
             message.rear_m - planned.position_m,
@@ -383,7 +387,7 @@ def observe_member(
         desired_gap_m=desired_m,
         wanted_gap_m=xp.maximum(desired_m, state.needed_gap_m),
         needs=state.needs,
-        speed_error_mps=zero if member.protection is None else member.protection.rates.speed_error_mps,
+        speed_error_mps=speed_error_mps,
         held_mps2=member.bounds.held_mps2,
         ahead_mps=now.speed_mps,
         ahead_mps2=now.acceleration_mps2,
