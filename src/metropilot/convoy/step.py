@@ -22,8 +22,8 @@ SPARE_M, SPARE_SHARE, SILENT_S = 0.2, 0.1, 0.4
 """Margins beyond the gap that protection needs: distance, command, and age of messages on a lossy link."""
 HALF = 0.5
 """Command between coasting and full traction at which the needed gap is evaluated too."""
-SHOWS_LAGS = 3.0
-"""Lags after its dead time until a command shows, to 95 %."""
+SHOWS_LAGS = 2.3
+"""Lags after its dead time until a command shows, to 90 %."""
 EASE_M = 2.0
 """Lack of gap at which a follower brakes fully."""
 REACTION_S = 1.0
