@@ -65,14 +65,6 @@ def pages() -> list:
     return rows
 
 
-def check(command: list[str], code: int, said: tuple[int, str, str]) -> None:
-    """One `metropilot` line ended as its page says."""
-    found, out, err = said
-    whole = f"{shlex.join(command)}\n{out[-2000:]}\n{err[-2000:]}"
-    assert found == code, whole
-    assert "Traceback" not in err, whole
-
-
 def run_program(command: list[str], cwd: Path) -> tuple[int, str, str]:
     """Output of a line with the command of this environment, started as a user does."""
     program = Path(sys.executable).with_name(command[0])
@@ -93,7 +85,10 @@ def test_examples_run(page, tmp_path, monkeypatch):
             code = int(block.directive.removeprefix("exit ") or 0)
             first = page.name == "README.md"  # by a program each; a start takes longer than most commands
             said = run_program(command, tmp_path) if first else commands.run(*command[1:], cwd=tmp_path)
-            check(command, code, said)
+            found, out, err = said
+            whole = f"{shlex.join(command)}\n{out[-2000:]}\n{err[-2000:]}"
+            assert found == code, whole
+            assert "Traceback" not in err, whole
 
 
 def test_blocks_are_found_with_their_directives():

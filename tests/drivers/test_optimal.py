@@ -186,7 +186,7 @@ def test_the_first_plan_begins_when_the_first_command_acts():
 
 @pytest.mark.parametrize("driver", ["optimal", "mpc"])
 def test_dead_time_and_lag_cost_little(driver):
-    """On the shortest section; the trainset itself loses 0.015 of it, and 0.002 are its gentle end."""
+    """On the shortest section (0.026 and 0.059 before); the trainset itself loses 0.015 of it."""
     gaps = []
     for trainset in (load_trainset("dkz32"), LATE_TRAINSET):
         run = replace(run_of("YZQ", "WHY", time_s=90.0), trainset=trainset)
@@ -196,7 +196,7 @@ def test_dead_time_and_lag_cost_little(driver):
         assert abs(done.running_time_s - run.scheduled_time_s) <= 0.5
         assert done.trajectory.jerk_mps3.max() <= 1.05
         gaps.append(gap(done))
-    assert gaps[1] - gaps[0] <= 0.024
+    assert gaps[1] - gaps[0] <= 0.022
 
 
 @pytest.mark.parametrize(("actuation", "ratio"), [((0.21, 0.37), 1.1), ((0.2, 0.6), 1.16), ((0.3, 0.6), 1.1)])

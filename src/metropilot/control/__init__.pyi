@@ -44,6 +44,7 @@ from .prediction import predict_motion as predict_motion
 from .prediction import predict_path as predict_path
 from .stopping import AT_ONCE_MPS3 as AT_ONCE_MPS3
 from .stopping import LAG_SOFT_M as LAG_SOFT_M
+from .stopping import LAG_STOP as LAG_STOP
 from .stopping import SERVICE_USE as SERVICE_USE
 from .stopping import STOP_OPTIONS as STOP_OPTIONS
 from .stopping import STRONGEST_MPS2 as STRONGEST_MPS2

@@ -48,8 +48,9 @@ SOFT_SHARE = 0.8
 """Deceleration with which a gentle stop ends, over what the jerk limit lets drop in one period..."""
 SOFT_S = 1.5
 """...from this time before the stand on."""
-LAG_SOFT_M = 0.04
-"""Error that is accepted for a gentle end where a lag drags every correction on."""
+LAG_SOFT_M, SOFT_DROP_MPS2 = 0.04, 0.064
+"""Error that is accepted for a gentle end where a lag drags every correction on; less, where the deceleration
+may drop by more than this in a period: then more can be corrected."""
 SCARCE_GAIN = 2.5
 """Correction of a stop that needs more than the brake will give later, beyond what the stop needs..."""
 SCARCE_SHARE = 0.96
@@ -80,8 +81,8 @@ class StopOptions:
         creep_mps: Speed below which the stop is no longer corrected within ``creep_m``, m/s.
         creep_m: Distance to the target below which a creeping trainset is stopped, m.
         past_m: Farther past the target than this it is better to stand with all the jerk limit allows, m.
-        soft_m: Error that is accepted for a gentle end of the stop, m: under a lag a correction acts when the
-            trainset stands, and jerks.
+        soft_m: Error that is accepted at most for a gentle end of the stop, m: under a lag a correction acts
+            when the trainset stands, and jerks.
         draw_up_mps2: Acceleration toward the target from a standstill short of it, m/s^2.
         draw_up_share: Share of that acceleration; drawing up ends when a deceleration of this size would
             stop at the target.
@@ -113,6 +114,10 @@ class StopOptions:
 
 STOP_OPTIONS = StopOptions()
 """Options of drivers with an estimator: a small final deceleration leaves room for its errors."""
+
+
+LAG_STOP = StopOptions(soft_m=LAG_SOFT_M)
+"""The same under a lag: the stop ends gently."""
 
 
 class StopCurve(NamedTuple):
@@ -668,8 +673,7 @@ def settle(
     largest = xp.minimum(drop, AT_ONCE_MPS3)
     soft = SOFT_SHARE * largest
     missed = xp.abs(distance_m - speed_mps * speed_mps / (2 * soft))
-    softly = (
-        (speed_mps > 0.0) & (speed_mps <= soft * SOFT_S) & (missed <= options.soft_m) & (drop < float("inf"))
-    )
+    accepted = options.soft_m * xp.minimum(SOFT_DROP_MPS2 / largest, 1.0)
+    softly = (speed_mps > 0.0) & (speed_mps <= soft * SOFT_S) & (missed <= accepted) & (drop < float("inf"))
     gentle = xp.where(softly, soft, options.drop_share * largest)
     return ends | creeps | softly, -xp.where(ends, rate, gentle)

@@ -22,12 +22,12 @@ SPARE_M, SPARE_SHARE, SILENT_S = 0.2, 0.1, 0.4
 """Margins beyond the gap that protection needs: distance, command, and age of messages on a lossy link."""
 HALF = 0.5
 """Command between coasting and full traction at which the needed gap is evaluated too."""
-SHOWS_LAGS = 2.3
-"""Lags after its dead time until a command shows, to 90 %."""
 EASE_M = 2.0
 """Lack of gap at which a follower brakes fully."""
 REACTION_S = 1.0
 """Time during which a higher speed takes gap before a brake acts."""
+SHOWS_LAGS = 2.3
+"""Lags after its dead time until a command shows, to 90 %."""
 FADING_MPS, LONG_M, FADING_S = 0.1, 10.0, 2.0
 """Decay of the needed gap: a constant rate, and a time constant for what exceeds a long gap."""
 
@@ -94,8 +94,7 @@ class FollowerObservation(NamedTuple):
         held_mps2: Deceleration that it counts on: the gap needed grows by the own speed over it for each m/s.
         ahead_mps: Extrapolated speed of the trainset ahead.
         ahead_mps2: Its acceleration in the last message.
-        ahead_loses_mps: Speed that it is planned to lose until a command given now shows; 0 where measured
-            speeds have no error.
+        ahead_loses_mps: Speed that it plans to lose until a command given now shows; 0 without its plan.
         age_s: Age of the last message.
         alarm: 1 if the trainset ahead reported an emergency brake, else 0.
         permitted_mps: Speed that protection permits for line limits.
@@ -360,15 +359,11 @@ def observe_member(
     rear = now.rear_m
     apart = plant.position_m >= member.uncouple_at_m
     desired_m, zero = xp.where(apart, member.apart_m, member.gap_m), 0.0 * rear
-    speed_error_mps = zero if member.protection is None else member.protection.rates.speed_error_mps
     off, loses_mps = (zero, zero, zero), zero
     if plans is not None:
         planned = plan_at(plans.ahead, message.stamp_s)
-        late_s = member.believed.delay_s + SHOWS_LAGS * member.believed.lag_s
-        then = plan_at(plans.ahead, now_s + late_s)
+        then = plan_at(plans.ahead, now_s + member.believed.delay_s + SHOWS_LAGS * member.believed.lag_s)
         loses_mps = xp.maximum(plan_at(plans.ahead, now_s).speed_mps - then.speed_mps, 0.0)
-        # What the errors of measured speeds leave of the gap is not enough for what a message says too late.
-        loses_mps = xp.where(speed_error_mps > 0.0, loses_mps, 0.0 * loses_mps)
         before = plan_at(plans.ahead, message.stamp_s - period_s)
         off = (
             message.rear_m - planned.position_m,
@@ -387,7 +382,7 @@ def observe_member(
         desired_gap_m=desired_m,
         wanted_gap_m=xp.maximum(desired_m, state.needed_gap_m),
         needs=state.needs,
-        speed_error_mps=speed_error_mps,
+        speed_error_mps=zero if member.protection is None else member.protection.rates.speed_error_mps,
         held_mps2=member.bounds.held_mps2,
         ahead_mps=now.speed_mps,
         ahead_mps2=now.acceleration_mps2,

@@ -10,7 +10,7 @@ import numpy as np
 
 from metropilot._schema import check_fields, declare
 from metropilot.control import (
-    LAG_SOFT_M,
+    LAG_STOP,
     STOP_OPTIONS,
     Adaptation,
     Ceiling,
@@ -164,8 +164,6 @@ LATE_W = 500.0
 LAST_METRES_M = 8.0
 CREEP_M = 0.05
 LAST_STRETCH_M = 30.0
-LAG_STOP = StopOptions(soft_m=LAG_SOFT_M)
-"""The stop under a lag: within this distance of the mark a gentle end is worth more than the rest of it."""
 EARLY_S = 1e-6
 DUE_SHARE = 0.5
 """Share of what must have been learned for a plan that is due, where commands act late."""

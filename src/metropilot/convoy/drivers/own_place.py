@@ -263,13 +263,16 @@ def most_in_gap(observation: FollowerObservation, ahead: PredictedState) -> Scal
     """Largest acceleration with which protection will have its gap when the command acts, and thereafter.
 
     What is on its way cannot be taken back: each m/s that it adds to the own speed takes ``v / b`` more gap,
-    at a brake rate ``b``, and so does each that the trainset ahead loses meanwhile, by what it does now or by
-    what it plans. Without dead time and lag there is no such limit: protection's own answer is prompt.
+    at a brake rate ``b``, and so does each that the trainset ahead loses meanwhile: by what it does now, or
+    where speeds are noisy by what it plans. Without dead time and lag there is no such limit: protection's
+    own answer is prompt.
     """
     vehicle, v, later_s, needs = observation.vehicle, observation.speed_mps, ahead.seconds, observation.needs
     xp = namespace(observation.position_m, observation.gap_m)
     per_mps = xp.maximum(v, ahead.speed_mps) / observation.held_mps2
-    loses_mps = xp.maximum(-observation.ahead_mps2 * later_s, observation.ahead_loses_mps)
+    # A message says it too late where the errors of measured speeds leave little of the gap.
+    planned_mps = xp.where(observation.speed_error_mps > 0.0, observation.ahead_loses_mps, 0.0)
+    loses_mps = xp.maximum(-observation.ahead_mps2 * later_s, planned_mps)
     grows_m = per_mps * (ahead.speed_mps - v + loses_mps)
     closes_m = later_s * (0.5 * (v + ahead.speed_mps + loses_mps) - observation.ahead_mps)
     left_m = observation.gap_m - grows_m - closes_m

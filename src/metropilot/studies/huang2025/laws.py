@@ -35,7 +35,7 @@ import numpy as np
 from metropilot._schema import check_fields, declare
 from metropilot._typing import Array, Float, Scalar
 from metropilot.control import (
-    LAG_SOFT_M,
+    LAG_STOP,
     STOP_OPTIONS,
     Ceiling,
     CommandActuation,
@@ -43,7 +43,6 @@ from metropilot.control import (
     Motion,
     PredictedState,
     StopCurve,
-    StopOptions,
     draws_up,
     predict_motion,
     predict_path,
@@ -657,8 +656,6 @@ CRAWL_M = 2.0
 """A trainset that coasts to a crawl is drawn up to the stop from this distance on; it is in time..."""
 LATE_CRAWL_MPS = 3.0
 """...and from so much farther off for each second of dead time and lag: traction acts too long there."""
-LAG_STOP = StopOptions(soft_m=LAG_SOFT_M)
-"""The stop under a lag ends gently."""
 DRAW_UP_M = 8.0
 """A trainset that stands no farther short of the stop than this is drawn up to it."""
 
