@@ -98,7 +98,7 @@ def place_behind(
     before = rear[: first + 1] - planned_gap(times[: first + 1])
     if now is None:
         now = _motion_now(before, dt)
-    # Departures from earlier plans, its own and those ahead, are not planned on with.
+    # A departure from an earlier plan is not carried into the new one.
     before = before + (now.position_m - before[-1])
     base = ahead._replace(position_m=rear - float(member.gap_m))
     need = None

@@ -432,17 +432,21 @@ class ConvoyRollout:
 
         if known is not None:
             plan = splice(known.ahead, plan)
-        plant, motion = self.states[k].plant, None
-        if known is not None and not manoeuvres(member):
-            a = float(plant.acceleration_mps2)
-            v = max(float(self.plants[k].motion.speed_mps) + a * self.dt, 0.0)
-            motion = PlannedMotion(float(plant.position_m), v, a)
+        # Who couples or uncouples on the move plans its gap on from what it was planned to be.
+        now = None if known is None or manoeuvres(member) else self.motion_of(k)
         own = place_behind(
-            plan, member._replace(believed=self.known_vehicle(k)), length_m, now_s, planned_gap, motion
+            plan, member._replace(believed=self.known_vehicle(k)), length_m, now_s, planned_gap, now
         )
         rear = plan._replace(position_m=plan.position_m - length_m)
         self.plans[k].append((now_s, own))
         self.known[k] = Plans(rear, own, np.float64(len(self.plans[k])), np.float64(heard[-1]))
+
+    def motion_of(self, k: int) -> PlannedMotion:
+        """Motion of a trainset now, its speed filtered."""
+        plant = self.states[k].plant
+        rate = float(plant.acceleration_mps2)
+        speed = max(float(self.plants[k].motion.speed_mps) + rate * self.dt, 0.0)
+        return PlannedMotion(float(plant.position_m), speed, rate)
 
     def known_vehicle(self, k: int) -> Vehicle:
         """Plant of a trainset as it is known by now."""
