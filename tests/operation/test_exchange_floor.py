@@ -41,8 +41,8 @@ def test_no_drives_undercut_a_section_however_finely_it_is_bounded(headway_s, ti
     random = np.random.default_rng(headway_s)
     line, own_w = operation(headway_s=headway_s), TRAINSET.auxiliary_w
     allowed = _Windows(line, windows=True)
-    known = [_meeting(allowed, floors(), k).energy_j for k in range(line.count)]
-    sections = [_exchange(allowed, floors(), k, each) for k, each in enumerate(known)]
+    meetings = [_meeting(allowed, floors(), k) for k in range(line.count)]
+    sections = [_exchange(allowed, floors(), k, each) for k, each in enumerate(meetings)]
     sharper, nearest = 0, inf
     for _ in range(timetables):
         timetable = random_timetable(line, random)
@@ -106,6 +106,20 @@ def test_two_trips_that_always_meet_receive_all_and_apart_what_they_take_themsel
     assert exchange_bound(both, every, nothing).bound_j == pytest.approx(whole_j, rel=1e-4)
     half = every[every[:, 0] < both[0].groups]
     assert whole_j * 1.001 < exchange_bound(both, half, nothing).bound_j < apart_j * 0.999
+
+
+def test_the_bound_in_other_running_times_is_above_the_tangent_of_the_planned_ones():
+    both, _ = trips()
+    count = sum(each.groups for each in both)
+    every = np.argwhere(np.ones((count, count), dtype=bool))
+    half, nothing = every[every[:, 0] < both[0].groups], np.zeros(count)
+    planned = exchange_bound(both, half, nothing)
+    for changes_s in ((-WINDOW_S, WINDOW_S), (WINDOW_S, 1)):
+        there_j = exchange_bound(both, half, nothing, changes_s).bound_j
+        sloped_j = sum(w * change for w, change in zip(planned.second_w, changes_s, strict=True))
+        assert planned.bound_j - sloped_j < there_j * (1 - 1e-4)
+        least_j = sum(each.least_j[change] for each, change in zip(both, changes_s, strict=True))
+        assert exchange_bound(both, every, nothing, changes_s).bound_j == pytest.approx(least_j, rel=1e-4)
 
 
 def test_drives_that_cost_little_more_pass_when_they_are_said_to():

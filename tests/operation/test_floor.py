@@ -17,6 +17,7 @@ from metropilot.operation import (
     profile_of_plan,
     zone_floor_j,
 )
+from metropilot.operation.floor import _meeting, _Windows
 from metropilot.physics import track_arrays, vehicle_arrays
 from metropilot.planning import PlanOptions, ReceivedEnergy, Receiver, cruise_plan, plan_arrays
 from metropilot.railway import Efficiency
@@ -119,6 +120,19 @@ def test_efficiencies_that_depend_on_speed_have_no_such_floor():
         short_line(STATIONS), replace(TRAINSET, efficiency_traction=mapped), OperationOptions(zones=1)
     )
     assert zone_floor_j(line) == -inf
+
+
+def test_a_running_time_is_bounded_by_the_nearest_tangent():
+    window_s = 4
+    line = operation(headway_s=400, time_window_s=window_s)
+    meeting = _meeting(_Windows(line, windows=True), TripFloors(line), 1)
+    planned = next(each for each in meeting.tangents if each.changes_s == (0, 0))
+    assert {each.changes_s for each in meeting.tangents} == {(-3, -3), (0, 0), (3, 3)}
+    energy_j = np.stack(list(meeting.energies_j()), axis=1)
+    alone_j = np.stack(list(meeting._replace(tangents=(planned,)).energies_j()), axis=1)
+    assert (energy_j >= alone_j).all()
+    assert energy_j[:, window_s, window_s] == pytest.approx(alone_j[:, window_s, window_s])
+    assert (energy_j[:, 0, -1] > 1.001 * alone_j[:, 0, -1]).all()
 
 
 @cache

@@ -31,6 +31,9 @@ from metropilot.operation.service_hours import AS_PLANNED, PHASES, ServiceScatte
 from metropilot.railway import LONGEST_WAIT_S, Period, ServiceDay
 from metropilot.units import J_PER_KWH, format_clock
 
+RESTARTS = 3
+"""Starts of each search: a day has several headways."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class DayEnergy(ComparedEnergy):
@@ -109,7 +112,7 @@ def lay_out_day(
             with rename_fields({"headway_s": f"headway of {period.name}"}, day.id):
                 check_headway(periodic, periodic.plain_timetable(), plans[0])
             if searched:
-                timetable, chosen = find_timetable(periodic, plans, seed=seed, moves=moves)
+                timetable, chosen = find_timetable(periodic, plans, seed=seed, moves=moves, restarts=RESTARTS)
             else:
                 timetable = best_offset(periodic, plans[0])
                 chosen, _ = choose_plans(periodic, timetable, plans)

@@ -111,7 +111,7 @@ class SectionFloor:
         self.energy_j = np.maximum(known_j, self._least_j)
         self.solved = 0
         self._level = np.zeros(self.energy_j.shape, dtype=int)
-        self._found: dict[tuple[float, bytes, bytes], PairBound] = {}
+        self._found: dict[tuple[float, tuple[int, int], bytes, bytes], PairBound] = {}
         firsts = [own[0] for own in section.changes_s]
         self._column = np.add.outer(*(np.array(own) - own[0] for own in section.changes_s))
         self._planned_s = sum(section.planned_s)
@@ -119,9 +119,8 @@ class SectionFloor:
 
     def cost(self) -> SectionCost:
         """Least energy by arrival and sum of both running times, however the sum is divided."""
-        columns = range(int(self._column.max()) + 1)
-        energy = np.stack([self.energy_j[:, self._column == k].min(axis=1) for k in columns], axis=1)
-        return SectionCost(energy, self._least_s, self._planned_s)
+        by_own_j = np.moveaxis(self.energy_j, 1, 0)
+        return SectionCost.divide(by_own_j, self._section.changes_s, self._planned_s)
 
     def refine(self, arrives_s: int, change_s: int) -> bool:
         """Bound the cell that is least at an arrival and a change of the sum more finely.
@@ -162,13 +161,15 @@ class SectionFloor:
         """Least energies of a cell by the changes of both running times, with the best excess found."""
         least_j = self._least_j[np.ix_(*changes)]
         of = [np.array(every)[list(own)] for every, own in zip(self._section.changes_s, changes, strict=True)]
+        middle_s = int(of[0][of[0].size // 2]), int(of[1][of[1].size // 2])
+        own_s, other_s = (every - middle for every, middle in zip(of, middle_s, strict=True))
         best_j = known_j - least_j
         low_j, high_j = float(best_j.min()), math.inf
         excess_j = max(MORE * low_j, low_j + STEP_J)
         for _ in range(TRIES):
-            both = self._exchange(cell, excess_j, group_s)
+            both = self._exchange(cell, excess_j, group_s, middle_s)
             # the bound is convex in the running times, so never below its tangent
-            sloped_j = np.add.outer(both.second_w[0] * of[0], both.second_w[1] * of[1])
+            sloped_j = np.add.outer(both.second_w[0] * own_s, both.second_w[1] * other_s)
             more_j = both.bound_j - sloped_j - least_j
             best_j = np.maximum(best_j, np.minimum(more_j, excess_j))
             least_more_j = float(more_j.min())
@@ -183,15 +184,17 @@ class SectionFloor:
                 break
         return least_j + best_j
 
-    def _exchange(self, cell: _Cell, excess_j: float, group_s: float) -> PairBound:
+    def _exchange(
+        self, cell: _Cell, excess_j: float, group_s: float, changes_s: tuple[int, int]
+    ) -> PairBound:
         trips, section = self._grouped[group_s], self._section
         spans = [_Span.of(trip, own, excess_j) for trip, own in zip(trips, cell.running_s, strict=True)]
         pairs = _pairs(cell, spans, section.headway_s)
         taken_w = section.own_w * (1.0 + _others(cell, spans, section))
         # where nobody meets, cells are alike
-        key = group_s, pairs.tobytes(), taken_w.tobytes()
+        key = group_s, changes_s, pairs.tobytes(), taken_w.tobytes()
         if key not in self._found:
-            self._found[key] = exchange_bound(trips, pairs, taken_w)
+            self._found[key] = exchange_bound(trips, pairs, taken_w, changes_s)
             self.solved += 1
         return self._found[key]
 

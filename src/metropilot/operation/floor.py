@@ -9,7 +9,7 @@ section to the next: the least sum over the line is a shortest path.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -30,11 +30,12 @@ LAST_S, FIRST_SHARE = 30.0, 0.5
 """Who receives in so many of the last seconds is granted the whole trip, and any the first share of it."""
 SAME_J = 2e4
 """Energies nearer than this are one."""
-PRICES = np.linspace(0.1, 0.9, 5)
-"""Prices of a second that are tried in the Lagrangian: quantiles of what a second saves."""
-PROGRAMMES, PRICED, NEAR_PRICE = 4000, 15, (0.7, 1.4)
+TANGENTS = (-2 / 3, 0.0, 2 / 3)
+"""Where in the window of a running time the least energy is found; it is convex in that time,
+so elsewhere never below the tangents."""
+PROGRAMMES, PRICED, FIRST_PRICE, NEAR_PRICE = 4000, 15, (0.3, 2.0), (0.7, 1.4)
 """Programmes of two trips that are solved for a sharp floor, at most; every so many paths the best price of a
-second is sought anew, between these shares of the last one."""
+second is sought anew, between these shares of the last one, or of what a second saves on average."""
 
 
 class TripFloors:
@@ -47,14 +48,8 @@ class TripFloors:
     """
 
     def __init__(self, operation: LineOperation) -> None:
-        vehicle = vehicle_arrays(operation.silent)
         self._own_w = operation.trainset.auxiliary_w
-        self._energies = [
-            ReceivedEnergy(vehicle, track_arrays(trip.section, operation.silent), float(trip.planned_s))
-            for trip in operation.trips
-        ]
-        self._found: list[dict[frozenset[Receiver], TripBound]] = [{} for _ in operation.trips]
-        self._planned: list[dict[frozenset[Receiver], TripBound]] = [{} for _ in operation.trips]
+        self._trips: dict[tuple[int, int], _TripFloor] = {}
         self._operation = operation
         self._exchanging: dict[tuple[int, range], ExchangeTrip] = {}
 
@@ -69,9 +64,18 @@ class TripFloors:
             )
         return self._exchanging[key]
 
-    def least_energies(self, trip: int, cases: Sequence[frozenset[Receiver]]) -> list[TripBound]:
-        """Least net energy of a trip with each set of receivers."""
-        found, planned = self._found[trip], self._planned[trip]
+    def least_energies(
+        self, trip: int, cases: Sequence[frozenset[Receiver]], change_s: int = 0
+    ) -> list[TripBound]:
+        """Least net energy of a trip with each set of receivers, its running time changed."""
+        key = trip, change_s
+        if key not in self._trips:
+            silent, asked = self._operation.silent, self._operation.trips[trip]
+            energy = ReceivedEnergy(
+                vehicle_arrays(silent), track_arrays(asked.section, silent), float(asked.planned_s + change_s)
+            )
+            self._trips[key] = _TripFloor(energy, {}, {})
+        energy, found, planned = self._trips[key]
         extremes = frozenset({Receiver(math.inf, math.inf, math.inf)}), frozenset[Receiver]()
         ordered = sorted(set(cases), key=_granted_s)
         # halving the order lets most cases fall between two equal ones
@@ -80,9 +84,17 @@ class TripFloors:
             if case not in found:
                 between = _between(planned, case)
                 if between is None:
-                    between = planned[case] = self._energies[trip].bound(self._own_w, case)
+                    between = planned[case] = energy.bound(self._own_w, case)
                 found[case] = between
         return [found[case] for case in cases]
+
+
+class _TripFloor(NamedTuple):
+    """Least energies of a trip in a running time: its programme, by receivers, and those that were solved."""
+
+    energy: ReceivedEnergy
+    found: dict[frozenset[Receiver], TripBound]
+    planned: dict[frozenset[Receiver], TripBound]
 
 
 def _between(planned: dict[frozenset[Receiver], TripBound], case: frozenset[Receiver]) -> TripBound | None:
@@ -127,42 +139,53 @@ class _Stay(NamedTuple):
     rest_s: int
 
 
+class _Tangents(NamedTuple):
+    """Least net energies of the two trips of a section in a running time, and their slopes.
+
+    Attributes:
+        changes_s: Change of each running time.
+        bound_j: Forward and backward, by the second after the departure of the forward train at which the
+            backward one arrives, and by the sum of both running times. Shape (2, H, C).
+        second_w: What one more second saves. Shape (2, H, C).
+    """
+
+    changes_s: tuple[int, int]
+    bound_j: Float[ndarray, "2 headway sums"]
+    second_w: Float[ndarray, "2 headway sums"]
+
+    def energy_j(self, which: int, columns: slice, change_s: int | ndarray) -> Float[ndarray, "headway sums"]:
+        """Least energy of one of them in other running times."""
+        sloped_j = self.second_w[which][:, columns] * (change_s - self.changes_s[which])
+        return self.bound_j[which][:, columns] - sloped_j
+
+
 class _Meeting(NamedTuple):
     """Least net energies of the two trips of a section, by the times at which they meet.
 
     Attributes:
-        bound_j: Forward and backward, by the second after the departure of the forward train at which the
-            backward one arrives, and by the sum of both running times. Shape (2, H, C).
-        second_w: What one more second saves. Shape (2, H, C).
+        tangents: At several running times.
         changes_s: Changes of the running times allowed, of each.
         planned_s: Planned sum of both.
     """
 
-    bound_j: Float[ndarray, "2 headway sums"]
-    second_w: Float[ndarray, "2 headway sums"]
+    tangents: tuple[_Tangents, ...]
     changes_s: tuple[range, range]
     planned_s: int
 
-    @property
-    def energy_j(self) -> Float[ndarray, "headway own other"]:
-        """Least energy of both trips by the changes of both running times."""
-        own, other = (np.array(each) for each in self.changes_s)
-        column = np.add.outer(own - own[0], other - other[0])
-        sloped_j = self.second_w[0][:, column] * own[:, None] + self.second_w[1][:, column] * other
-        return self.bound_j.sum(axis=0)[:, column] - sloped_j
+    def energies_j(self) -> Iterator[Float[ndarray, "headway other"]]:
+        """Least energy of both trips by the change of the backward one, for each of the forward one."""
+        others = np.array(self.changes_s[1])
+        for first, change_s in enumerate(self.changes_s[0]):
+            columns = slice(first, first + others.size)
+            forward_j, backward_j = (
+                np.max([each.energy_j(which, columns, change) for each in self.tangents], axis=0)
+                for which, change in enumerate((change_s, others))
+            )
+            yield forward_j + backward_j
 
-    def add_price(self, price_w: float) -> SectionCost:
-        """Least energy of both trips with every second more than planned at a price."""
-        (low, high), (other_low, other_high) = ((each[0], each[-1]) for each in self.changes_s)
-        change = np.arange(low + other_low, high + other_high + 1)
-        ends = np.maximum(low, change - other_high), np.minimum(high, change - other_low)
-        # linear in how the change is divided: one of the ends is the least
-        energy = [
-            self.bound_j.sum(axis=0) - self.second_w[0] * end - self.second_w[1] * (change - end)
-            for end in ends
-        ]
-        least_s = self.planned_s + low + other_low
-        return SectionCost(np.minimum(*energy) + price_w * change, least_s, self.planned_s)
+    def cost(self) -> SectionCost:
+        """Least energy of both trips however the sum of their running times is divided."""
+        return SectionCost.divide(self.energies_j(), self.changes_s, self.planned_s)
 
 
 class _Windows:
@@ -255,18 +278,16 @@ def zone_floor_j(
     meetings = [_meeting(allowed, floors, k) for k in range(operation.count)]
     if sharp:
         return aboard_j + _sharp_floor_j(allowed, floors, meetings, programmes)
-    second_w = np.concatenate([each.second_w.ravel() for each in meetings])
-    prices = np.quantile(second_w, PRICES).tolist() if windows else [0.0]
-    return aboard_j + max(
-        allowed.find_path([each.add_price(price) for each in meetings]).energy_j for price in prices
-    )
+    costs = [each.cost() for each in meetings]
+    price_w = _best_price(allowed, costs) if allowed.moves else 0.0
+    return aboard_j + allowed.find_path([each.add_price(price_w) for each in costs]).energy_j
 
 
 def _sharp_floor_j(
     allowed: _Windows, floors: TripFloors, meetings: Sequence[_Meeting], programmes: int
 ) -> float:
     """Least energy of the trips: the cells of the least path are bounded more finely, again and again."""
-    sections = [_exchange(allowed, floors, k, each.energy_j) for k, each in enumerate(meetings)]
+    sections = [_exchange(allowed, floors, k, each) for k, each in enumerate(meetings)]
     price_w, floor_j = 0.0, -math.inf
     for turn in range(programmes):
         costs = [each.cost() for each in sections]
@@ -281,11 +302,13 @@ def _sharp_floor_j(
     return floor_j
 
 
-def _best_price(allowed: _Windows, costs: Sequence[SectionCost], last_w: float) -> float:
+def _best_price(allowed: _Windows, costs: Sequence[SectionCost], last_w: float = 0.0) -> float:
     """Price of a second with which the least path is dearest, near the last one if there is one."""
+    shares = NEAR_PRICE if last_w else FIRST_PRICE
     if not last_w:
-        last_w = float(np.median([-np.diff(each.energy_j.max(axis=0)).mean() for each in costs]))
-    low, high = (share * last_w for share in NEAR_PRICE)
+        dearest_j = [each.energy_j.max(axis=0) for each in costs if each.energy_j.shape[1] > 1]
+        last_w = float(np.median([-np.diff(each).mean() for each in dearest_j]))
+    low, high = (share * last_w for share in shares)
     found = minimize_scalar(
         lambda price_w: -allowed.find_path([each.add_price(price_w) for each in costs]).energy_j,
         bounds=(low, high),
@@ -295,9 +318,7 @@ def _best_price(allowed: _Windows, costs: Sequence[SectionCost], last_w: float) 
     return float(found.x)
 
 
-def _exchange(
-    allowed: _Windows, floors: TripFloors, section: int, known_j: Float[ndarray, "headway own other"]
-) -> SectionFloor:
+def _exchange(allowed: _Windows, floors: TripFloors, section: int, meeting: _Meeting) -> SectionFloor:
     """Least energies of a section that is a zone: its trips exchange energy."""
     operation = allowed.operation
     pair = section, len(operation.trips) - 1 - section
@@ -312,7 +333,7 @@ def _exchange(
             operation.trainset.auxiliary_w,
             operation.options.headway_s,
         ),
-        known_j,
+        np.stack(list(meeting.energies_j()), axis=1),
     )
 
 
@@ -323,19 +344,32 @@ def _meeting(allowed: _Windows, floors: TripFloors, section: int) -> _Meeting:
     # a whole second stands for all instants up to the next one
     behind_s = np.arange(operation.options.headway_s)[:, None] + np.zeros_like(sums_s)
     ahead_s = sums_s - behind_s
-    found = [
-        _energies(allowed, floors, pair, behind_s, ahead_s),
-        _energies(allowed, floors, (pair[1], pair[0]), ahead_s - 1, behind_s + 1),
-    ]
-    bound_j, second_w = (np.stack(parts) for parts in zip(*found, strict=True))
     changes_s = allowed.changes_s(pair[0]), allowed.changes_s(pair[1])
-    return _Meeting(bound_j, second_w, changes_s, sum(operation.trips[k].planned_s for k in pair))
+    tangents = []
+    for of in sorted({tuple(_change_at(every, share) for every in changes_s) for share in TANGENTS}):
+        found = [
+            _energies(allowed, floors, pair, behind_s, ahead_s, of[0]),
+            _energies(allowed, floors, (pair[1], pair[0]), ahead_s - 1, behind_s + 1, of[1]),
+        ]
+        bound_j, second_w = (np.stack(parts) for parts in zip(*found, strict=True))
+        tangents.append(_Tangents((of[0], of[1]), bound_j, second_w))
+    return _Meeting(tuple(tangents), changes_s, sum(operation.trips[k].planned_s for k in pair))
+
+
+def _change_at(changes_s: range, share: float) -> int:
+    """Change at a share of the window, on the side of its sign."""
+    return round(abs(share) * changes_s[0 if share < 0.0 else -1])
 
 
 def _energies(
-    allowed: _Windows, floors: TripFloors, pair: tuple[int, int], arrives_s: ndarray, leads_s: ndarray
+    allowed: _Windows,
+    floors: TripFloors,
+    pair: tuple[int, int],
+    arrives_s: ndarray,
+    leads_s: ndarray,
+    change_s: int,
 ) -> tuple[ndarray, ndarray]:
-    """Least energy of a trip and its slope.
+    """Least energy of a trip in one running time, and its slope.
 
     Args:
         allowed: Running times and dwells.
@@ -343,6 +377,7 @@ def _energies(
         pair: The trip, and the one of the other direction in its section.
         arrives_s: Arrival of the other after the departure, at most a second later than this.
         leads_s: Arrival after the departure of the other, at most this.
+        change_s: Change of the running time of the trip.
     """
     options, (trip, other) = allowed.operation.options, pair
     headway_s, most_s = options.headway_s, allowed.running_s[trip][-1]
@@ -369,7 +404,7 @@ def _energies(
     rows, index = np.unique(codes, axis=0, return_inverse=True)
     powers = [power for *_, power in rounded]
     cases = [_receivers(zip(row[::2], row[1::2], powers, strict=True)) for row in rows.tolist()]
-    found = np.array(floors.least_energies(trip, cases))[index.ravel()]
+    found = np.array(floors.least_energies(trip, cases, change_s))[index.ravel()]
     return found[:, 0].reshape(shape), found[:, 1].reshape(shape)
 
 

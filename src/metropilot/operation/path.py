@@ -9,7 +9,7 @@ up to none over the line.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -32,6 +32,29 @@ class SectionCost(NamedTuple):
     energy_j: Float[ndarray, "headway sums"]
     least_s: int
     planned_s: int
+
+    @classmethod
+    def divide(
+        cls,
+        energies_j: Iterable[Float[ndarray, "headway other"]],
+        changes_s: tuple[range, range],
+        planned_s: int,
+    ) -> SectionCost:
+        """Least energy however the sum of both running times is divided.
+
+        Args:
+            energies_j: By ``a`` and by the change of the second running time, for each change of the first.
+            changes_s: Changes of both.
+            planned_s: Planned sum.
+        """
+        count = len(changes_s[1])
+        least_j = np.empty((0, 0))
+        for first, energy_j in enumerate(energies_j):
+            if not first:
+                least_j = np.full((energy_j.shape[0], len(changes_s[0]) + count - 1), np.inf)
+            here = least_j[:, first : first + count]
+            np.minimum(here, energy_j, out=here)
+        return cls(least_j, planned_s + changes_s[0][0] + changes_s[1][0], planned_s)
 
     def add_price(self, price_w: float) -> SectionCost:
         """The same with every second more than planned at a price."""

@@ -24,7 +24,7 @@ from metropilot.operation.path import SectionCost, find_least_path
 
 CELLS_PER_S = 2
 """Cells of a second over which power is averaged while searching; the result is computed exactly."""
-MOVES, RESTARTS, ADAPTED = 12_000, 3, 2
+MOVES, RESTARTS, ADAPTED = 12_000, 8, 4
 """Moves from each start, starts, and how many of the timetables found are tried with adapted plans."""
 WARMTH = 0.002, 1e-5
 """First and last temperature of the annealing, shares of the energy."""

@@ -19,7 +19,7 @@ from numpy import ndarray
 
 from metropilot._typing import Float, Int
 from metropilot.physics import Track, Vehicle
-from metropilot.planning.cone_program import Exchange, TimeBound
+from metropilot.planning.cone_program import Exchange, Programme, TimeBound
 from metropilot.planning.optimal import solve_together_until_settled, solve_until_settled
 from metropilot.planning.received import ReceivedEnergy
 
@@ -114,9 +114,12 @@ class ExchangeTrip:
         return np.unique(np.clip(np.searchsorted(self._clock_s, at_s), 1, self._clock_s.size - 2))
 
     def _least_j(self, change_s: int) -> float:
-        """Least energy in another running time."""
+        return solve_until_settled(self.in_time(change_s), self.energy)[0].dual * self.mass_kg
+
+    def in_time(self, change_s: int) -> Programme:
+        """Programme of another running time."""
         bounds = (TimeBound(0, self.programme.mesh.length_m.size, None, self.time_s + change_s),)
-        return solve_until_settled(replace(self.programme, bounds=bounds), self.energy)[0].dual * self.mass_kg
+        return replace(self.programme, bounds=bounds)
 
     @property
     def edges_m(self) -> Float[ndarray, " edges"]:
@@ -178,7 +181,10 @@ class PairBound(NamedTuple):
 
 
 def exchange_bound(
-    trips: Sequence[ExchangeTrip], pairs: Int[ndarray, "pairs 2"], taken_w: Float[ndarray, " groups"]
+    trips: Sequence[ExchangeTrip],
+    pairs: Int[ndarray, "pairs 2"],
+    taken_w: Float[ndarray, " groups"],
+    changes_s: tuple[int, int] = (0, 0),
 ) -> PairBound:
     """Least net energy of two trips that exchange energy.
 
@@ -187,12 +193,15 @@ def exchange_bound(
         pairs: Group that returns and group that draws, where they can be passed at the same moment; groups of
             the second trip follow those of the first.
         taken_w: Power that each group's returns find in any case. Shape (G,).
+        changes_s: Changes of the running times of both.
     """
     first, second = trips
     group = np.concatenate([first.group, second.group + first.groups])
     exchange = Exchange(group, pairs, taken_w[group] / first.mass_kg)
     answers, dual = solve_together_until_settled(
-        [each.programme for each in trips], [each.energy for each in trips], exchange
+        [each.in_time(change) for each, change in zip(trips, changes_s, strict=True)],
+        [each.energy for each in trips],
+        exchange,
     )
     for trip, answer in zip(trips, answers, strict=True):
         trip.energy = answer.energy
