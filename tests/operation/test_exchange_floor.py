@@ -9,10 +9,18 @@ from tests.operation.lines import TRAINSET
 from tests.operation.test_floor import WINDOW_S, drivings, floors, operation, random_timetable
 
 from metropilot.errors import InputError
-from metropilot.operation import adapt_plans, find_timetable, zone_floor_j
+from metropilot.operation import (
+    LineOperation,
+    OperationOptions,
+    TripFloors,
+    adapt_plans,
+    find_timetable,
+    zone_floor_j,
+)
 from metropilot.operation.floor import _exchange, _meeting, _Windows
 from metropilot.physics import track_arrays, vehicle_arrays
 from metropilot.planning import ExchangeTrip, ReceivedEnergy, Receiver, exchange_bound
+from metropilot.railway import load_line, load_trainset
 
 EVERYBODY = Receiver(inf, inf, inf)
 
@@ -120,6 +128,21 @@ def test_the_bound_in_other_running_times_is_above_the_tangent_of_the_planned_on
         assert planned.bound_j - sloped_j < there_j * (1 - 1e-4)
         least_j = sum(each.least_j[change] for each, change in zip(both, changes_s, strict=True))
         assert exchange_bound(both, every, nothing, changes_s).bound_j == pytest.approx(least_j, rel=1e-4)
+
+
+def test_a_trip_may_be_as_fast_as_its_window_allows():
+    trainset = load_trainset("ch_stadler_flirt_tpf")
+    line = LineOperation(
+        load_line("zurich-stadelhofen"), trainset, OperationOptions(zones=3, time_window_s=20)
+    )
+    fastest = line.trips[0]
+    change_s = fastest.allowed_s[0] - fastest.planned_s
+    trip = TripFloors(line).exchange_trip(0, range(change_s, change_s + 1))
+    flat_s = trip.flat_s[-1]
+    assert flat_s < fastest.allowed_s[0] < flat_s + 1.0
+    track = track_arrays(fastest.section, line.silent)
+    energy = ReceivedEnergy(vehicle_arrays(line.silent), track, float(fastest.allowed_s[0]))
+    assert trip.least_j[change_s] == pytest.approx(energy.bound(0.0, [EVERYBODY]).bound_j, rel=1e-4)
 
 
 def test_drives_that_cost_little_more_pass_when_they_are_said_to():

@@ -70,6 +70,7 @@ class ExchangeTrip:
     Attributes:
         time_s: Planned running time.
         least_j: Least energy by change.
+        energies: Kinetic energy per kg at the nodes of the last answer, by change. Each of shape (N+1,).
         group: Group of each segment. Shape (N,).
     """
 
@@ -85,10 +86,14 @@ class ExchangeTrip:
         self.time_s = time_s
         self.programme, self.flat_s = energy.programme, energy.clock_s
         self.mass_kg = float(self.programme.table.mass_kg)
-        answer, _ = solve_until_settled(self.programme, energy.energy)
-        self.energy = answer.energy
+        # near the minimum running time only the curves about the flat-out run have a drive in time
+        found = {
+            change: solve_until_settled(self.in_time(change), energy.energy)[0] for change in {0, *changes_s}
+        }
+        self.least_j = {change: found[change].dual * self.mass_kg for change in changes_s}
+        self.energies = {change: each.energy for change, each in found.items()}
+        answer = found[0]
         self.second_w = answer.second * self.mass_kg
-        self.least_j = {change: self._least_j(change) for change in changes_s}
         clock = np.concatenate([[0.0], np.cumsum(answer.time)])
         self._clock_s = clock * time_s / clock[-1]
         count = answer.time.size
@@ -112,9 +117,6 @@ class ExchangeTrip:
         """Nodes that the plan passes about so many seconds one after the other, without both ends."""
         at_s = np.arange(seconds, self.time_s - 0.5 * seconds, seconds)
         return np.unique(np.clip(np.searchsorted(self._clock_s, at_s), 1, self._clock_s.size - 2))
-
-    def _least_j(self, change_s: int) -> float:
-        return solve_until_settled(self.in_time(change_s), self.energy)[0].dual * self.mass_kg
 
     def in_time(self, change_s: int) -> Programme:
         """Programme of another running time."""
@@ -142,7 +144,7 @@ class ExchangeTrip:
                 break
             whole = TimeBound(0, self._clock_s.size - 1, None, self.time_s)
             bounds = whole, TimeBound(first, last, None, asked_s)
-            answer, _ = solve_until_settled(replace(self.programme, bounds=bounds), self.energy)
+            answer, _ = solve_until_settled(replace(self.programme, bounds=bounds), self.energies[0])
             whole_w, part_w = (second * self.mass_kg for second in answer.seconds)
             found.append(_Probe(asked_s, answer.dual * self.mass_kg, part_w, whole_w))
         return found
@@ -200,10 +202,10 @@ def exchange_bound(
     exchange = Exchange(group, pairs, taken_w[group] / first.mass_kg)
     answers, dual = solve_together_until_settled(
         [each.in_time(change) for each, change in zip(trips, changes_s, strict=True)],
-        [each.energy for each in trips],
+        [each.energies[change] for each, change in zip(trips, changes_s, strict=True)],
         exchange,
     )
-    for trip, answer in zip(trips, answers, strict=True):
-        trip.energy = answer.energy
+    for trip, change, answer in zip(trips, changes_s, answers, strict=True):
+        trip.energies[change] = answer.energy
     seconds = [each.second * first.mass_kg for each in answers]
     return PairBound(dual * first.mass_kg, (seconds[0], seconds[1]))
