@@ -7,6 +7,7 @@ is then known as a departure from its plan, and is small.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 import numpy as np
@@ -279,6 +280,10 @@ def make_drivable(member: Member, wanted: MotionPlan, first: int, now: PlannedMo
     takes = gap_per_mps(speed_mps, float(member.bounds.held_mps2)).tolist()
     answers = 1.0 - kept_share(float(vehicle.lag_s), dt)
     most_down = FALL_BACK_MPS2 if float(vehicle.delay_s + vehicle.lag_s) > 0.0 else np.inf
+    reached_m = np.maximum.accumulate(position_m)
+    weakest = np.maximum(least, -BRAKE_LIMIT * limits.brake_mps2 - limits.drag_mps2)
+    stop_m2ps2 = _braking_energy(reached_m, weakest)
+    builds_s = max(dt, float(vehicle.lag_s) + 0.5 * BRAKE_LIMIT * float(member.most_mps2) * dt / jerk)
     stands, closes = np.flatnonzero(speed_mps > CREEP_MPS).max(initial=0), manoeuvres(member)
     x, v, a = now
     positions, speeds = [x], [v]
@@ -290,6 +295,9 @@ def make_drivable(member: Member, wanted: MotionPlan, first: int, now: PlannedMo
         most_up = CATCH_UP_MPS2 + CATCH_UP_PER_S2 * max(wanted_m[k] - x, 0.0)
         catching_up = max(min(2.0 * w * (wanted_mps[k] + faster - v), most_up), -most_down)
         free = min(rise + catching_up, (cap[k + 1] - v) / late_s)
+        # Whoever is late still ends at its mark with its own brakes.
+        stop_mps = math.sqrt(2.0 * float(np.interp(x + v * dt, reached_m, stop_m2ps2)))
+        free = min(free, least[k] + (stop_mps - v) / builds_s)
         # A motion that a lag shapes takes no larger commands for it, which protection would count.
         lagged = a + answers * (min(max(free, least[k]), most[k]) - a)
         a = min(max(lagged, a - jerk), a + jerk)
@@ -307,6 +315,14 @@ def make_drivable(member: Member, wanted: MotionPlan, first: int, now: PlannedMo
         position_m=moved + shift_m * done * done * (3.0 - 2.0 * done),
         speed_mps=np.array(speeds) * (1.0 + shift_m * 6.0 * done * (1.0 - done) / length_m),
     )
+
+
+def _braking_energy(
+    position_m: Float[ndarray, " rows"], least_mps2: Float[ndarray, " rows"]
+) -> Float[ndarray, " rows"]:
+    """Kinetic energy per kg at each position from which the least accelerations end at the last one."""
+    taken = np.maximum(-least_mps2[1:], 0.0) * np.diff(position_m)
+    return np.append(np.cumsum(taken[::-1])[::-1], 0.0)
 
 
 def smooth_gap(
