@@ -280,9 +280,9 @@ def make_drivable(member: Member, wanted: MotionPlan, first: int, now: PlannedMo
     takes = gap_per_mps(speed_mps, float(member.bounds.held_mps2)).tolist()
     answers = 1.0 - kept_share(float(vehicle.lag_s), dt)
     most_down = FALL_BACK_MPS2 if float(vehicle.delay_s + vehicle.lag_s) > 0.0 else np.inf
-    reached_m = np.maximum.accumulate(position_m)
-    weakest = np.maximum(least, -BRAKE_LIMIT * limits.brake_mps2 - limits.drag_mps2)
-    stop_m2ps2 = _braking_energy(reached_m, weakest)
+    reached_m, stop_m2ps2 = _braking_energy(
+        position_m, np.maximum(least, -BRAKE_LIMIT * limits.brake_mps2 - limits.drag_mps2)
+    )
     builds_s = max(dt, float(vehicle.lag_s) + 0.5 * BRAKE_LIMIT * float(member.most_mps2) * dt / jerk)
     stands, closes = np.flatnonzero(speed_mps > CREEP_MPS).max(initial=0), manoeuvres(member)
     x, v, a = now
@@ -319,10 +319,11 @@ def make_drivable(member: Member, wanted: MotionPlan, first: int, now: PlannedMo
 
 def _braking_energy(
     position_m: Float[ndarray, " rows"], least_mps2: Float[ndarray, " rows"]
-) -> Float[ndarray, " rows"]:
-    """Kinetic energy per kg at each position from which the least accelerations end at the last one."""
-    taken = np.maximum(-least_mps2[1:], 0.0) * np.diff(position_m)
-    return np.append(np.cumsum(taken[::-1])[::-1], 0.0)
+) -> tuple[Float[ndarray, " rows"], Float[ndarray, " rows"]]:
+    """Positions reached, and the kinetic energy per kg there from which the accelerations end at the last."""
+    reached_m = np.maximum.accumulate(position_m)
+    taken = np.maximum(-least_mps2[1:], 0.0) * np.diff(reached_m)
+    return reached_m, np.append(np.cumsum(taken[::-1])[::-1], 0.0)
 
 
 def smooth_gap(
