@@ -283,7 +283,7 @@ def make_drivable(member: Member, wanted: MotionPlan, first: int, now: PlannedMo
     reached_m, stop_m2ps2 = _braking_energy(
         position_m, np.maximum(least, -BRAKE_LIMIT * limits.brake_mps2 - limits.drag_mps2)
     )
-    builds_s = max(dt, float(vehicle.lag_s) + 0.5 * BRAKE_LIMIT * float(member.most_mps2) * dt / jerk)
+    builds_s = max(dt, float(vehicle.lag_s) - 0.5 * min(least) * dt / jerk)
     stands, closes = np.flatnonzero(speed_mps > CREEP_MPS).max(initial=0), manoeuvres(member)
     x, v, a = now
     positions, speeds = [x], [v]
