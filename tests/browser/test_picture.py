@@ -84,7 +84,7 @@ def test_a_live_run_that_is_over_is_scrubbed_until_the_form_changes(visit):
     page.locator('[data-test="time"] [tabindex="0"]').focus()
     page.keyboard.press("ArrowRight")
     expect(slider).to_be_hidden()
-    page.wait_for_function(f"!({PLOT}.layout.shapes || []).some(s => s.name === 'moment')")
+    page.wait_for_function(f"!({PLOT}.layout?.shapes || []).some(s => s.name === 'moment')")
 
 
 @pytest.mark.parametrize(("width", "height"), SIZES)
@@ -191,7 +191,7 @@ def test_a_restriction_is_dragged_before_departure(visit, width, height):
     page.get_by_role("button", name="Add a restriction").click()
     rows = page.locator('[data-test="restrictions"]')
     expect(rows.get_by_label("From (m)")).to_have_value("500")
-    page.wait_for_function(f"{PLOT}.layout.shapes?.length === 1")
+    page.wait_for_function(f"{PLOT}.layout?.shapes?.length === 1")
     drag(page, [550, 60], [752, 60])
     expect(rows.get_by_label("From (m)")).to_have_value("700")
     expect(rows.get_by_label("To (m)")).to_have_value("800")
