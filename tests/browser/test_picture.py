@@ -84,7 +84,7 @@ def test_a_live_run_that_is_over_is_scrubbed_until_the_form_changes(visit):
     page.locator('[data-test="time"] [tabindex="0"]').focus()
     page.keyboard.press("ArrowRight")
     expect(slider).to_be_hidden()
-    page.wait_for_function(f"!({PLOT}.layout?.shapes || []).some(s => s.name === 'moment')")
+    page.wait_for_function(f"!({PLOT}.layout.shapes || []).some(s => s.name === 'moment')")
 
 
 @pytest.mark.parametrize(("width", "height"), SIZES)

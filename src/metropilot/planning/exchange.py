@@ -195,7 +195,7 @@ def exchange_bound(
         pairs: Group that returns and group that draws, where they can be passed at the same moment; groups of
             the second trip follow those of the first.
         taken_w: Power that each group's returns find in any case. Shape (G,).
-        changes_s: Changes of the running times of both.
+        changes_s: Changes of the running times of both, each one that its trip allows.
     """
     first, second = trips
     group = np.concatenate([first.group, second.group + first.groups])
