@@ -20,11 +20,15 @@ from metropilot.studies.lu2023.env import (
     StopWindow,
 )
 from metropilot.studies.lu2023.setting import (
+    BONUS,
     EPISODES,
+    JUMP,
+    LATE_S,
     MARGIN,
     ON_THE_WAY,
     PERIOD_S,
     TABLE,
+    WORK_PER_J,
     plan_case,
     task_config,
 )
@@ -86,6 +90,7 @@ def literal_config(budget: str, *, improved: bool) -> DQNConfig:
         gamma=GAMMA,
         epsilon=Schedule(EPSILON, 0.05, over=0.3, shape="exponential"),
         reward_factor=1.0,
+        n_step=1,
         huber=None,
         normalise_observations=False,
         **changes,
@@ -161,13 +166,18 @@ SETTINGS = (
     PrintedSetting(
         "comfort (eq. 18)",
         "P + a within 0.8 m/s², L after a jump",
-        "P - |a| within 0.8 m/s², -L after a jump",
+        f"P - |a| within 0.8 m/s², {-JUMP:g} after a jump",
         f"P = {P:g}, L = {-L:g} and r_v = {R_V:g} are not printed; L is called a large negative reward.",
     ),
     PrintedSetting(
         "lateness allowed (eq. 15)",
         "3 s",
-        "0.5 s while learning, then a price",
+        f"{LATE_S:g} s while learning, then a price",
+    ),
+    PrintedSetting(
+        "price of work, bonus of time and stop (eqs. 15 to 17)",
+        "1e-5 per J, 1000",
+        f"{WORK_PER_J:g} per J, {BONUS:g}",
     ),
     PrintedSetting(
         "filter (3.3.4)",
@@ -186,7 +196,7 @@ SETTINGS = (
     PrintedSetting(
         "episodes",
         "not printed; settled after 800 and 1,100",
-        "240,000 decisions",
+        "120,000 decisions",
         f"{CUT['paper']:,} (quick: {CUT['quick']}).",
     ),
     PrintedSetting(

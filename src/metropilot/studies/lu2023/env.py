@@ -7,7 +7,7 @@ from typing import final
 
 import numpy as np
 
-from metropilot._typing import Array
+from metropilot._typing import Array, Scalar
 from metropilot.env import (
     PERMITTED_COLUMN,
     AbstractAction,
@@ -29,6 +29,12 @@ ON_CURVE, LAST_M = 0.6, 3.0
 """Share of the planned deceleration from which it is a station stop, and where its last metres begin."""
 CRAWL_MPS = 1.0
 """What ends a decision slower than this, short of the stop, cannot be chosen with ``below_mps``."""
+HELD_S, AGAIN_S = 2.0, 10.0
+"""Time for which a stronger notch, and one after coasting, must stay below protection to be taken up."""
+MEAN = 0.6
+"""Speed over that at the beginning at which the resistance of a whole stop is taken."""
+KEPT = 0.9
+"""Share of the way to the next notch at which a station stop changes to it."""
 ROOM_MPS = 0.3
 """Distance to the permitted speed below which braking may be that of the ceiling assist."""
 ROUNDING_N = 200.0
@@ -47,8 +53,9 @@ class NotchForceAction(AbstractAction):
             steps of the notches.
         most_mps2: Largest acceleration and deceleration that a chosen notch may cause, m/s^2 (a_lim of Lu23
             eq. 18); 0: any.
-        below_mps: Mask choices after which the trainset would come nearer to protection's permitted speed
-            than this within the decision, m/s, so that the ceiling assist need not change notches; 0: none.
+        below_mps: Distance that a notch keeps from protection's permitted speed, m/s, so that the ceiling
+            assist need not change notches: a weaker one is held where the chosen one would come nearer, and
+            what comes nearer even by coasting cannot be chosen; 0: neither.
         late_brake: Brake to the stop by notches that are not stronger than needed, until the last metres.
     """
 
@@ -85,38 +92,60 @@ class NotchForceAction(AbstractAction):
         return command_for_force(context.vehicle, context.speed_mps, force_n)
 
     def hold(self, context: FeatureContext, action: Array, command: Array) -> Array:
-        """The same force at another speed; a weaker notch where a gradient makes it too strong."""
+        """The same force at another speed; a weaker notch where it is too strong or the ceiling too near.
+
+        A notch that pulls is held as long as the next control period stays below protection. A stronger one
+        is taken up where it can be held for ``HELD_S``, and one after coasting for ``AGAIN_S``, so that the
+        ceiling costs few switches.
+        """
         del command
-        if not self.most_mps2:
+        if not (self.most_mps2 or self.below_mps):
             return self.command(context, action, 0.0)
-        xp, (notches, _, gentle) = context.rows.xp, self._effects(context)
+        xp, (notches, rate, gentle) = context.rows.xp, self._effects(context)
         chosen = notches[action]
-        traction = xp.max(xp.where(gentle & (notches <= chosen), notches, 0.0))
+        pulls = gentle & (notches <= chosen)
+        if self.below_mps:
+            effort = effort_at(context.vehicle, context.speed_mps)
+            in_force_n = effort.force_n(context.command)
+            not_stronger = xp.minimum(notches, effort.traction_n) <= in_force_n + ROUNDING_N
+            kept = not_stronger & self._stays_below(context, rate, CONTROL_S)
+            held_s = xp.where(in_force_n > ROUNDING_N, HELD_S, AGAIN_S)
+            pulls = pulls & (kept | self._stays_below(context, rate, held_s))
+        traction = xp.max(xp.where(pulls, notches, 0.0))
         brake = xp.min(xp.where(gentle & (notches >= chosen), notches, 0.0))
         force_n = xp.where(chosen > 0.0, traction, brake)
         return command_for_force(context.vehicle, context.speed_mps, force_n)
 
     def action_mask(self, context: FeatureContext, period_s: float) -> Array | None:
-        """Mask of the choices that are gentle, stay below protection, and can still arrive in time.
+        """Mask of the choices that stay below protection and can still arrive in time.
 
-        The state after one decision at each notch is taken with the resistance at the present state. The
-        flat-out time from there is compared with the time left (Lu23 section 3.3.4, steps a to c:
-        ``T - t_k < t_lim`` chooses again); it is that of the plant with its resistance and limits, not of a
-        speed that changes at once. Where no choice is in time, the strongest of the others is allowed; where
-        all come too near to protection, the strongest gentle brake.
+        Every notch that pulls can be chosen where coasting can: :meth:`hold` weakens it. The state after one
+        decision at each notch is taken with the resistance at the present state. The flat-out time from there
+        is compared with the time left (Lu23 section 3.3.4, steps a to c: ``T - t_k < t_lim`` chooses again);
+        it is that of the plant with its resistance and limits, not of a speed that changes at once. Where no
+        choice is in time, the strongest of the others is allowed; where all come too near to protection, the
+        strongest gentle brake.
         """
         if not (self.in_time or self.most_mps2 or self.below_mps):
             return None
         xp, v = context.rows.xp, context.speed_mps
-        notches, rate, allowed = self._effects(context)
+        notches, rate, gentle = self._effects(context)
+        allowed = gentle | (notches > 0.0)
+        rate = xp.minimum(rate, self.most_mps2 or np.inf)
         if self.below_mps:
             strongest = notches == xp.min(xp.where(allowed, notches, 0.0))
-            allowed = allowed & (self._stays_below(context, rate, period_s) | strongest)
+            coasting = rate[self.notches_n.index(0.0)]
+            held = self._stays_below(context, xp.minimum(rate, coasting), period_s)
+            allowed = allowed & (held | strongest)
             moves = (notches > 0.0) | (v + rate * period_s > CRAWL_MPS) | (context.left_m <= LAST_M)
             allowed = xp.where(xp.any(allowed & moves), allowed & moves, allowed)
         if not self.in_time:
             return allowed
         after = xp.maximum(v + rate * period_s, 0.0)
+        if self.below_mps:
+            at = context.position_m + v * period_s
+            highest = context.rows.curve_at(PERMITTED_COLUMN, context.case, at) - self.below_mps
+            after = xp.minimum(after, xp.maximum(highest, v + xp.minimum(rate, coasting) * period_s))
         left_m = xp.maximum(context.left_m - 0.5 * (v + after) * period_s, 0.0)
         to_go = context.rows.to_go_s(context.case, left_m, context.length_m, after)
         in_time = context.left_s - period_s >= (1.0 + self.margin) * to_go
@@ -133,8 +162,8 @@ class NotchForceAction(AbstractAction):
         most = self.most_mps2 or np.inf
         return notches, rate, xp.where(notches > 0.0, rate, -rate) <= xp.where(notches == 0.0, np.inf, most)
 
-    def _stays_below(self, context: FeatureContext, rate: Array, period_s: float) -> Array:
-        """Tell for each notch if the ceiling assist would let it pass to the end of the decision."""
+    def _stays_below(self, context: FeatureContext, rate: Array, period_s: Scalar) -> Array:
+        """Tell for each notch if the ceiling assist would let it pass for ``period_s``."""
         xp, rates, v = context.rows.xp, context.rates, context.speed_mps
         ahead_s = rates.reaction_s + CONTROL_S
         rise = xp.maximum(rate, 0.0) * ahead_s * rates.mass_high / rates.mass_low
@@ -169,18 +198,18 @@ class NotchForceAction(AbstractAction):
     def _steady_brake(self, context: FeatureContext, notches: Array) -> tuple[Array, Array]:
         """Index of the notch for the deceleration that the stop needs, and if this is a station stop.
 
-        The brake alone counts, as resistance is gone at the end. The notch in force stays until the next
-        stronger one is not too strong, or half of it suffices to the next weaker one.
+        The notch in force stays until the next stronger one is not too strong, or nearly the next weaker one
+        suffices (``KEPT``): a stop that falls behind its curve loses its time in the last metres.
         """
         xp, vehicle, v = context.rows.xp, context.vehicle, context.speed_mps
-        _, gradient = resistance_and_gradient(vehicle, context.track, context.position_m, v)
+        resistance, gradient = resistance_and_gradient(vehicle, context.track, context.position_m, MEAN * v)
         needed_mps2 = 0.5 * v * v / xp.maximum(context.left_m, LAST_M)
-        force_n = -(needed_mps2 * vehicle.effective_mass_kg - gradient)
+        force_n = -(needed_mps2 * vehicle.effective_mass_kg - gradient - resistance)
         in_force_n = effort_at(vehicle, v).force_n(context.command)
         index = xp.minimum(xp.sum(notches < force_n - ROUNDING_N), notches.size - 1)
         stronger = xp.maximum(index - 1, 0)
         keeps = (xp.abs(in_force_n - notches[stronger]) <= ROUNDING_N) & (
-            force_n <= 0.5 * (notches[index] + notches[stronger])
+            force_n <= notches[index] - KEPT * (notches[index] - notches[stronger])
         )
         index = xp.where(keeps, stronger, index)
         gentle = self._effects(context)[2][index]

@@ -106,25 +106,27 @@ MARGIN = 0.03
 """Relative margin on the filter's flat-out time, for protection and the steps of the notches."""
 MOST_MPS2 = 0.8
 """Largest acceleration and deceleration in the paper."""
-ASSISTS = Assists(margin_mps=0.05, stop_use=0.97, let_go=0.3)
+ASSISTS = Assists(margin_mps=0.02, stop_use=0.98, let_go=0.3)
 """Station-stop braking by the two strongest notches, close to the trainset's best."""
-LATE_S, SOFT_S = 0.5, 2.0
+LATE_S, SOFT_S = 0.1, 1.5
 """Lateness that earns the whole bonus while learning, and the one over which it is lost (the paper: 3 s)."""
+BONUS, WORK_PER_J, JUMP, SWITCH = 500.0, 2e-5, 2.0, 5.0
+"""Bonus of time and stop, prices of work, of a jump of the acceleration and of a change of regime."""
 ALL_TIMES_S = (118.0, 142.0)
-ON_THE_WAY, LEFT_RATIO = 0.8, (1.0, 1.7)
+ON_THE_WAY, LEFT_RATIO = 0.4, (1.0, 1.5)
 """Share of episodes that begin between stations, and their range of time left over flat-out time to go."""
 REWARDS = (
-    OnTime(bonus=1000.0, allowed_s=LATE_S, soft_s=SOFT_S),
-    EffortEnergy(),
-    StopWindow(),
-    AccelerationComfort(),
+    OnTime(bonus=BONUS, allowed_s=LATE_S, soft_s=SOFT_S),
+    EffortEnergy(per_j=WORK_PER_J),
+    StopWindow(bonus=BONUS),
+    AccelerationComfort(jump_price=JUMP),
     Moving(),
-    RegimeSwitch(),
+    RegimeSwitch(price=SWITCH),
 )
 """Lu23 eqs. 15 to 20, and a price of changes between traction, coasting and braking."""
 STATE = ("position", "speed", "time_left", "reserve", "permitted_ahead", "command")
 """Position, speed, time left, the filter's reserve (time left beyond flat-out time to go), limits ahead."""
-ACTION = NotchForceAction(margin=MARGIN, most_mps2=MOST_MPS2, below_mps=0.06, late_brake=True)
+ACTION = NotchForceAction(margin=MARGIN, most_mps2=MOST_MPS2, below_mps=0.03, late_brake=True)
 """The notches, and which of them can be chosen."""
 
 
