@@ -196,7 +196,7 @@ SETTINGS = (
     PrintedSetting(
         "episodes",
         "not printed; settled after 800 and 1,100",
-        "120,000 decisions",
+        "200,000 decisions",
         f"{CUT['paper']:,} (quick: {CUT['quick']}).",
     ),
     PrintedSetting(

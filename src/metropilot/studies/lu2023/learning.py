@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 EVALUATIONS = 120
 LEARNING = DQNConfig(
-    steps=120_000,
+    steps=200_000,
     environments=8,
     evaluations=EVALUATIONS,
     evaluation_steps=60,
@@ -111,7 +111,7 @@ def evaluate_plans(config: AbstractConfig, task: Any) -> Callable[..., Any]:  # 
     return evaluate
 
 
-ALL_STEPS = 500_000
+ALL_STEPS = 800_000
 """Steps of the network for all plans, and of that for the plan with the restriction."""
 QUICK = {"steps": 40_000, "evaluations": 10}
 DQN_RECIPE = Recipe("lu2023", replace(LEARNING, steps=ALL_STEPS), QUICK, without_filter, evaluate_plans)

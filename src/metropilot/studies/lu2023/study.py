@@ -100,8 +100,8 @@ normalised by their running mean and deviation; a memory of 40,000; 0.5 gradient
 eight parallel environments. Of these the paper gives only the learning rate. DQN and improved DQN use the
 same values.
 
-A network learns for 120,000 decisions, about 4,000 episodes; the networks of the plan with the restriction
-and of all plans for 500,000. Every seed is driven (five for all plans); the driver that is shipped is the
+A network learns for 200,000 decisions, about 6,000 episodes; the networks of the plan with the restriction
+and of all plans for 800,000. Every seed is driven (five for all plans); the driver that is shipped is the
 median seed.
 
 Epsilon falls from 0.5 (paper: 0.8) to 0.05 over the first 30 % of the run.
