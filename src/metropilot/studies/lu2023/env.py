@@ -132,9 +132,9 @@ class NotchForceAction(AbstractAction):
         notches, rate, gentle = self._effects(context)
         allowed = gentle | (notches > 0.0)
         rate = xp.minimum(rate, self.most_mps2 or np.inf)
+        coasting = rate[self.notches_n.index(0.0)]
         if self.below_mps:
             strongest = notches == xp.min(xp.where(allowed, notches, 0.0))
-            coasting = rate[self.notches_n.index(0.0)]
             held = self._stays_below(context, xp.minimum(rate, coasting), period_s)
             allowed = allowed & (held | strongest)
             moves = (notches > 0.0) | (v + rate * period_s > CRAWL_MPS) | (context.left_m <= LAST_M)
