@@ -150,7 +150,8 @@ def judge_claim(claim: Claim, rows: Sequence[ReportRow]) -> ClaimVerdict:
     """Judge one claim by the rows of a report."""
     row = find_row(claim, claim.driver, rows)
     if row is None or row.ours is None or claim.untestable:
-        reason = claim.untestable or "not measured with this budget"
+        unmeasured = "not measured with this budget" if row is None else "too few runs reach it for a median"
+        reason = claim.untestable or unmeasured
         unit, published = ("", None) if row is None else (row.unit, row.published)
         return ClaimVerdict(
             claim.words, claim.kpi, unit, published, None, None, None, None, "cannot be tested", reason

@@ -152,6 +152,7 @@ WORDS = (
     N_("adds little"),
     N_("adds nothing"),
     N_("not measured with this budget"),
+    N_("too few runs reach it for a median"),
     # kinds of what is uploaded, directions, places
     N_("line"),
     N_("trainset"),
