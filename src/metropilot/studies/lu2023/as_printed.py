@@ -19,15 +19,17 @@ from metropilot.studies.lu2023.env import (
     NotchForceAction,
     StopWindow,
 )
+from metropilot.studies.lu2023.learning import IMPROVED, LEARNING
 from metropilot.studies.lu2023.setting import (
-    BONUS,
     EPISODES,
     JUMP,
     LATE_S,
     MARGIN,
     ON_THE_WAY,
     PERIOD_S,
+    STOP_BONUS,
     TABLE,
+    TIME_BONUS,
     WORK_PER_J,
     plan_case,
     task_config,
@@ -77,7 +79,6 @@ def literal_task(*, filtered: bool) -> DrivingTask:
 def literal_config(budget: str, *, improved: bool) -> DQNConfig:
     """DQN with the paper's Table 4; what it does not print is this study's."""
     from metropilot.learn import Schedule
-    from metropilot.studies.lu2023.learning import IMPROVED, LEARNING
 
     changes = IMPROVED if improved else {}
     evaluations = 5 if budget == "quick" else 20
@@ -175,9 +176,9 @@ SETTINGS = (
         f"{LATE_S:g} s while learning, then a price",
     ),
     PrintedSetting(
-        "price of work, bonus of time and stop (eqs. 15 to 17)",
-        "1e-5 per J, 1000",
-        f"{WORK_PER_J:g} per J, {BONUS:g}",
+        "price of work, bonuses of time and stop (eqs. 15 to 17)",
+        "1e-5 per J, 1000 each",
+        f"{WORK_PER_J:g} per J, {TIME_BONUS:g} and {STOP_BONUS:g}",
     ),
     PrintedSetting(
         "filter (3.3.4)",
@@ -196,7 +197,7 @@ SETTINGS = (
     PrintedSetting(
         "episodes",
         "not printed; settled after 800 and 1,100",
-        "200,000 decisions",
+        f"{LEARNING.steps:,} decisions",
         f"{CUT['paper']:,} (quick: {CUT['quick']}).",
     ),
     PrintedSetting(

@@ -148,9 +148,7 @@ RULE = " ".join(
     running time achieved: the policy kept is the best one evaluated, so from then on there is one to ship. A
     run that never converges is censored at its length: medians are those of Kaplan and Meier, comparisons
     are log-rank tests. A run is steady if it does so in {STEADY} evaluations in a row; the tables give their
-    number. Plain DQN has no filter, and without it these prices make it pay to be late by any amount (the
-    bonus of the time is lost once, the work saved is not): its runs that do not converge are late, so that
-    the comparison of the two measures the prices as much as the learners.""".split()
+    number.""".split()
 )
 
 

@@ -108,17 +108,19 @@ MOST_MPS2 = 0.8
 """Largest acceleration and deceleration in the paper."""
 ASSISTS = Assists(margin_mps=0.02, stop_use=0.98, let_go=0.3)
 """Station-stop braking by the two strongest notches, close to the trainset's best."""
-LATE_S, SOFT_S = 0.1, 1.5
+LATE_S, SOFT_S = 0.1, 3.0
 """Lateness that earns the whole bonus while learning, and the one over which it is lost (the paper: 3 s)."""
-BONUS, WORK_PER_J, JUMP, SWITCH = 500.0, 2e-5, 2.0, 5.0
-"""Bonus of time and stop, prices of work, of a jump of the acceleration and of a change of regime."""
+TIME_BONUS, STOP_BONUS = 1000.0, 500.0
+"""Bonuses of time and stop."""
+WORK_PER_J, JUMP, SWITCH = 2e-5, 2.0, 10.0
+"""Prices of work, of a jump of the acceleration and of a change of regime."""
 ALL_TIMES_S = (118.0, 142.0)
 ON_THE_WAY, LEFT_RATIO = 0.4, (1.0, 1.5)
 """Share of episodes that begin between stations, and their range of time left over flat-out time to go."""
 REWARDS = (
-    OnTime(bonus=BONUS, allowed_s=LATE_S, soft_s=SOFT_S),
+    OnTime(bonus=TIME_BONUS, allowed_s=LATE_S, soft_s=SOFT_S),
     EffortEnergy(per_j=WORK_PER_J),
-    StopWindow(bonus=BONUS),
+    StopWindow(bonus=STOP_BONUS),
     AccelerationComfort(jump_price=JUMP),
     Moving(),
     RegimeSwitch(price=SWITCH),

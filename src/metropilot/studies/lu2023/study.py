@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from metropilot.evaluate import make_driver
 from metropilot.studies.learning import write_policy
-from metropilot.studies.lu2023.as_printed import AS_PRINTED
+from metropilot.studies.lu2023.as_printed import AS_PRINTED, R_V, P
 from metropilot.studies.lu2023.drives import (
     ABOVE_ANY,
     ABOVE_GENTLE,
@@ -23,7 +23,7 @@ from metropilot.studies.lu2023.drives import (
     track_policy,
 )
 from metropilot.studies.lu2023.figures import figures
-from metropilot.studies.lu2023.learning import RULE
+from metropilot.studies.lu2023.learning import ALL_STEPS, LEARNING, RULE
 from metropilot.studies.lu2023.setting import (
     ABLATION,
     BEYOND,
@@ -31,16 +31,23 @@ from metropilot.studies.lu2023.setting import (
     CONVERGENCE,
     EPISODES,
     FASTER_PERCENT,
+    JUMP,
+    LATE_S,
     MOST_MPS2,
     PLANS,
     RULES,
+    SOFT_S,
+    STOP_BONUS,
+    SWITCH,
     TABLE,
+    WORK_PER_J,
     plan_case,
 )
 from metropilot.studies.lu2023.ship import median_of
 from metropilot.studies.report import ReportRow, StudyReport, make_row, paragraphs
 from metropilot.studies.study import Study
 from metropilot.studies.verdict import Claim
+from metropilot.units import J_PER_KWH
 
 if TYPE_CHECKING:
     from metropilot.studies.learning import SeedResult
@@ -75,7 +82,7 @@ CLAIMS = (
     ),
 )
 
-DEVIATIONS = paragraphs("""
+DEVIATIONS = paragraphs(f"""
 The stop is not learned. Station-stop braking follows the stop curve of the task's assist by the notches
 of the paper: the one in force stays until the next stronger one is not too strong, or the next weaker one
 nearly suffices. The network decides everything before it and may brake earlier. The paper does not
@@ -100,30 +107,30 @@ normalised by their running mean and deviation; a memory of 40,000; 0.5 gradient
 eight parallel environments. Of these the paper gives only the learning rate. DQN and improved DQN use the
 same values.
 
-A network learns for 200,000 decisions, about 6,000 episodes; the networks of the plan with the restriction
-and of all plans for 800,000. Every seed is driven (five for all plans); the driver that is shipped is the
-median seed.
+A network learns for {LEARNING.steps:,} decisions, about 6,000 episodes; the networks of the plan with the
+restriction and of all plans for {ALL_STEPS:,}. Every seed is driven (five for all plans); the driver that is
+shipped is the median seed.
 
 Epsilon falls from 0.5 (paper: 0.8) to 0.05 over the first 30 % of the run.
 
 Four episodes in ten start during the run, with a time left between the flat-out time and 1.5 times it, so
 that a network meets every state; the paper starts each at the origin. Evaluations start from standstill.
 
-Eq. 15 is learned with a tenth of a second instead of 3 s, and its bonus turns into a price over 1.5 further
-seconds instead of at once: with 3 s at no price the arrival is as late as that allows.
+Eq. 15 is learned with {LATE_S:g} s instead of 3 s, and its bonus turns into a price over {SOFT_S:g}
+further seconds instead of at once: with 3 s at no price the arrival is as late as that allows.
 
-Work costs twice as much as in eq. 16 (mu = 2e-5 instead of 1e-5 per J), and time and stop earn 500 instead
-of C = K = 1000, so that energy is a larger part of what the network has to tell apart; a second late still
-costs more than it saves. Lateness beyond 1.6 s costs nothing more, so that only the filter keeps the time:
-plain DQN, which has none, often gives it up.
+Work costs twice as much as in eq. 16 (mu = {WORK_PER_J:g} instead of 1e-5 per J), and the stop earns
+{STOP_BONUS:g} instead of K = 1000, so that energy is a larger part of what the network has to tell apart.
+Lateness costs more than the energy that it saves, for improved DQN and for plain DQN, which has no filter
+to keep it from being late.
 
-A change between traction, coasting and braking from one decision to the next costs 5, as much as 0.07 kWh;
-the paper has no such price, and counts them in Fig. 9. The last command is observed for it.
+A change between traction, coasting and braking from one decision to the next costs {SWITCH:g}, as much as
+{SWITCH / WORK_PER_J / J_PER_KWH:.2f} kWh; the paper has no such price, and counts them in Fig. 9. The
+last command is observed for it.
 
-Eq. 18 prints P + a for gentle accelerations, which rewards acceleration: P - |a| here, P = 1, L = -2 and
-a_lim = 0.8 m/s2 assumed; r_v = 0.01 assumed. L = -10 would make a pull where a low limit ends cost as much as
-1 % of the energy. One seed of the plan with the restriction ended 7.2 % above the optimum with L = -10,
-5.8 % with -2, 4.8 % with the doubled price of work as well.
+Eq. 18 prints P + a for gentle accelerations, which rewards acceleration: P - |a| here, P = {P:g}, L =
+{-JUMP:g} and a_lim = 0.8 m/s2 assumed; r_v = {R_V:g} assumed. L = -10 would make a pull where a low limit
+ends cost as much as 1 % of the energy.
 
 The flat-out time of the filter is that of the plant with resistance and limits, 3 % longer to keep clear
 of protection; the paper's changes speed at once and has no resistance. It does not know the largest
