@@ -94,6 +94,22 @@ def test_what_was_not_measured_cannot_be_tested():
     assert unprinted.why.startswith("no number is printed; worse than tuned")
 
 
+@pytest.mark.parametrize(
+    ("p", "verdict", "why"),
+    [
+        (0.042, "beaten", "p = 0.042"),
+        (0.05, "cannot be tested", "the difference may be chance (p = 0.05)"),
+        (None, "cannot be tested", "too few seeds for a test"),
+    ],
+)
+def test_a_claim_that_compares_two_learners_needs_more_than_chance(p, verdict, why):
+    claim = Claim("it learns faster than the other", "learned", "error", "c", chance="p of the error")
+    compared = [*rows(), ReportRow("T", "c", "learned", "p of the error", "", ours=p)]
+    found = judge_claim(claim, compared)
+    assert (found.verdict, found.why, found.ours) == (verdict, why, 8.0)
+    assert judge_claim(claim, rows()).verdict == "cannot be tested"
+
+
 def test_the_page_begins_with_the_verdicts():
     report = StudyReport(7, rows(), claims=[CLAIM], remarks=["A finding."], title="T")
     page = study_page(STUDIES.get("cheng2023"), report)

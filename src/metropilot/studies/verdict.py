@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -33,6 +33,8 @@ class Claim:
         table: The row's table; empty: any.
         untestable: Reason for which the claim cannot be tested; empty: it can.
         rounding: Difference from the published value that counts as none; None: ``ROUNDING``.
+        chance: Quantity of the same driver and case that holds the p of the claim, where the claim compares
+            two learners itself; empty: it does not.
     """
 
     words: str
@@ -44,6 +46,7 @@ class Claim:
     table: str = ""
     untestable: str = ""
     rounding: float | None = None
+    chance: str = ""
 
 
 @dataclass(frozen=True)
@@ -160,6 +163,9 @@ def judge_claim(claim: Claim, rows: Sequence[ReportRow]) -> ClaimVerdict:
     rival = find_rival(claim, row, rows)
     judgement = _against_published(claim, row, low, high)
     why = _rival_words(claim, rival)
+    if claim.chance:
+        chance = find_row(replace(claim, kpi=claim.chance), claim.driver, rows)
+        judgement, why = _doubt(judgement, None if chance is None else chance.ours)
     if row.published is None:
         why = f"no number is printed; {why}"
     return ClaimVerdict(
@@ -209,6 +215,15 @@ def _against_published(claim: Claim, row: ReportRow, low: float, high: float) ->
         return "missed"
     better = row.ours < published if claim.aim == "low" else row.ours > published
     return "beaten" if better else "missed"
+
+
+def _doubt(judgement: Judgement, p: float | None) -> tuple[Judgement, str]:
+    """Judgement of a comparison of two learners, and why: none where their difference may be chance."""
+    if p is None:
+        return "cannot be tested", "too few seeds for a test"
+    if p >= SIGNIFICANCE:
+        return "cannot be tested", f"the difference may be chance (p = {p:.2g})"
+    return judgement, f"p = {p:.2g}"
 
 
 def _loss(claim: Claim, published: float | None, value: float) -> float:

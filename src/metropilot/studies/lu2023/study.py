@@ -81,6 +81,7 @@ CLAIMS = (
         FASTER.format(CONVERGES),
         "120 s",
         "high",
+        chance=CHANCE.format(CONVERGES),
     ),
 )
 
