@@ -171,7 +171,7 @@ def reproduce(order: Order) -> StudyReport:
     drives = {name: [drive_pair(each) for each in each_seed] for name, each_seed in drivers.items()}
     rows = [row for name, each in drives.items() for row in drive_rows(name, each)]
     rows += _learning_rows(runs, order.budget)
-    median = {NAMES[algorithm]: _median_of(each) for algorithm, each in runs.items()}
+    median = {NAMES[algorithm]: median_of(each) for algorithm, each in runs.items()}
     first = {name: each[median.get(name, 0)] for name, each in drivers.items()}
     shown = {name: each[median.get(name, 0)] for name, each in drives.items()}
     order.say("disturbing")
@@ -206,7 +206,7 @@ def _learn(order: Order, seeds: range) -> dict[str, list[SeedResult]]:
     return runs
 
 
-def _median_of(runs: list[SeedResult]) -> int:
+def median_of(runs: list[SeedResult]) -> int:
     """Place of the median seed by its gap error; its policy is disturbed and drawn, and the one shipped."""
     errors = [float(np.nanmin(run.history["evaluation.gap_error_m"])) for run in runs]
     return int(np.argsort(errors, kind="stable")[(len(errors) - 1) // 2])
