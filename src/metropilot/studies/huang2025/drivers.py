@@ -88,8 +88,9 @@ CLEAR_MPS = 3.0
 """Farther below the safe speed than this nothing needs to be eased off."""
 HOA_STOP = StopOptions(lag_ramp=False)
 """The heuristic online algorithm begins earlier by half the lag instead."""
-MARGIN_MPS = 0.25
-"""Distance of the ceiling from the permitted speed."""
+MARGIN_MPS, MARGIN_MPS2 = 0.08, 0.25
+"""Distance of the ceiling from the permitted speed: at least the first, and the second for each second of a
+period, in which the speed may rise before it is seen."""
 TIGHT = 1.03
 """Time left over the least time below which no time is given away for a lower limit ahead."""
 
@@ -164,7 +165,7 @@ def prepare_expert(run: Run, section: Section, rules: ExpertRules, hoa: Hoa) -> 
         hoa: Knowledge of the brake.
     """
     model = model_of(run, section)
-    ceiling = ceiling_of(run, section, MARGIN_MPS)
+    ceiling = ceiling_of(run, section, max(MARGIN_MPS, MARGIN_MPS2 * run.dt))
     ground = expert_track(model, ceiling, rules)
     return ExpertMemory(
         run=run,

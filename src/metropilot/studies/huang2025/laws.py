@@ -307,8 +307,9 @@ FADE_POINTS = 8
 BEYOND_M = 60.0
 FOR_LIMITS = 0.85
 """Share of the largest deceleration to brake for lower limits with: protection watches the brake build up."""
-UNDER_MPS = 0.4
-"""Speed below a lower limit's ceiling at which the braking for it ends."""
+UNDER_MPS, UNDER_MPS2 = 0.2, 0.4
+"""Speed below a lower limit's ceiling at which the braking for it ends: at least the first, and the second
+for each second of a period."""
 
 
 class ExpertTrack(NamedTuple):
@@ -519,7 +520,7 @@ def _safe(model: Model, ceiling: Ceiling, rules: ExpertRules, at: np.ndarray) ->
     safe = np.minimum(here, [ceiling.at(float(x)) for x in at])
     for place, lower in drops(model):
         most = _service_limit(float(model.vehicle.max_deceleration_mps2))
-        kept = min(lower, ceiling.at(place)) - UNDER_MPS
+        kept = min(lower, ceiling.at(place)) - max(UNDER_MPS, UNDER_MPS2 * model.dt)
         begins = place - lower * lead_s(model)
         before = expert_safe_speed(np, rules, FOR_LIMITS * most, kept / rules.safe_share, begins - at, here)
         safe = np.where(at < place, np.minimum(safe, before), safe)
