@@ -213,12 +213,13 @@ LEFT = "above the least energy still possible from the update on"
 
 
 def state_at(one: Drive, time_s: float) -> tuple[PlanOptions, float]:
-    """State of a drive at a time as the start of a plan, and the wheel energy used by then, J."""
-    t = one.trajectory
+    """State of a drive at a time as the start of a plan under protection, and the wheel energy used, J."""
+    t, limits = one.trajectory, driving_limits(one.run, one.section)
     place, speed, used = (
         float(np.interp(time_s, t.time_s, values)) for values in (t.position_m, t.speed_mps, t.energy_wheel_j)
     )
-    return PlanOptions(spacing_m=SPACING_M, start_m=place, start_mps=speed), used
+    start = PlanOptions(spacing_m=SPACING_M, start_m=place, start_mps=speed)
+    return replace(start, cap_m=limits.position_m, cap_mps=limits.permitted_mps), used
 
 
 def earliest_s(one: Drive, driver: str, told_s: float) -> float:

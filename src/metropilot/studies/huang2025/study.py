@@ -223,8 +223,8 @@ def remarks(rows: Sequence[ReportRow], *, budget: str) -> list[str]:
         ),
         (
             "After a late update the optimum in hindsight is out of reach, because the drive before "
-            "the update is already done. EITOP above the least energy still possible once a command "
-            f"given at the update acts: {', '.join(over(LEFT, UPDATED))}. {_wanted(rows, UPDATED)} "
+            "the update is already done. EITOP above the least energy still possible under protection once a "
+            f"command given at the update acts: {', '.join(over(LEFT, UPDATED))}. {_wanted(rows, UPDATED)} "
             f"Arrivals: {_arrivals(rows)}."
         ),
         (
