@@ -28,14 +28,6 @@ if TYPE_CHECKING:
 
 COMMAND = "metropilot reproduce huang2025 --budget paper"
 WATCHED_S = 101.0
-EVALUATIONS = 16
-SIZES: dict[str, dict[str, int]] = {
-    "quick": {"eitop": 300_000, "itor": 1_000_000, "ston": 20_000, "stod": 20_000},
-    "paper": {"eitop": 1_000_000, "itor": 4_000_000, "ston": 64_000, "stod": 64_000},
-}
-"""Environment steps of half a second, by budget and driver."""
-
-
 EITOP_BASE = replace(
     PPO_BASE,
     steps=3_000_000,
@@ -114,8 +106,7 @@ def make_evaluation(config: AbstractConfig, driver: str, task: Any) -> PolicyEva
 
 def job(driver: str, seed: int, budget: str) -> LearnJob:
     """One learning run of a driver."""
-    told = {"steps": SIZES[budget][driver], "evaluations": EVALUATIONS if budget == "paper" else 6}
-    config = RECIPES.get(driver).configuration("paper", **told)
+    config = RECIPES.get(driver).configuration(budget)
     name = driver if budget == "paper" else f"quick-{driver}"
     evaluation = partial(make_evaluation, config, driver)
     return LearnJob(name, config, partial(make_task, driver), seed, evaluation, {"driver": driver})
@@ -124,7 +115,7 @@ def job(driver: str, seed: int, budget: str) -> LearnJob:
 def write_result(folder: Path, result: SeedResult) -> Path:
     """Write the policy of a learning run."""
     path = folder / f"{result.job.name}-{result.job.seed}.safetensors"
-    return write_policy(path, result, COMMAND, task="huang2025")
+    return write_policy(path, result, COMMAND, task=RECIPES.get(result.job.about["driver"]).task)
 
 
 def jobs(seeds: range, budget: str) -> list[LearnJob]:
