@@ -225,7 +225,7 @@ def remarks(rows: Sequence[ReportRow], *, budget: str) -> list[str]:
             "After a late update the optimum in hindsight is out of reach, because the drive before "
             "the update is already done. EITOP above the least energy still possible under protection once a "
             f"command given at the update acts: {', '.join(over(LEFT, UPDATED))}. {_wanted(rows, UPDATED)} "
-            f"Arrivals: {_arrivals(rows)}."
+            f"It arrives after {_arrivals(rows)}."
         ),
         (
             f"Compared with the model `manual` EITOE saves {_saving(rows, EITOE)} of Ie and EITOP "
@@ -283,9 +283,9 @@ def _saving(rows: Sequence[ReportRow], driver: str) -> str:
 
 def _arrivals(rows: Sequence[ReportRow]) -> str:
     parts = [
-        f"{row.ours:.1f} s (`{row.driver}`, {row.case})"
+        f"{row.ours:.1f} s ({row.case})"
         for row in rows
-        if row.table == TABLE3 and row.kpi == TOOK and row.ours is not None
+        if (row.table, row.driver, row.kpi) == (TABLE3, EITOP, TOOK) and row.ours is not None
     ]
     return ", ".join(parts)
 
