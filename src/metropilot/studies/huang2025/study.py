@@ -152,7 +152,7 @@ def _percent_range(rows: Sequence[ReportRow], case: str, driver: str, kpi: str) 
     row = _value(rows, case, driver, kpi)
     if row is None or row.ours is None or row.high is None:
         return "–"
-    return f"{row.ours:.1f} % ({row.high:.1f} %; {BY_ID[case].name})"
+    return f"{row.ours:.2f} % ({row.high:.2f} %; {BY_ID[case].name})"
 
 
 def _wanted(rows: Sequence[ReportRow], cases: Sequence[str]) -> str:
