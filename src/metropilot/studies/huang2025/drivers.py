@@ -50,7 +50,7 @@ from metropilot.physics import scalars
 from metropilot.policy import LoadedPolicy, Policy, in_precision, load_driving_policy, shipped_policy
 from metropilot.protection import Memory, at_start
 from metropilot.railway import Section
-from metropilot.sim import AbstractDriver, Observation, Run
+from metropilot.sim import AbstractDriver, Observation, Run, declared_bounds
 from metropilot.studies.huang2025.env import ExpertAction, ExpertChoiceAction
 from metropilot.studies.huang2025.laws import (
     EXPERT_STATE,
@@ -88,9 +88,10 @@ CLEAR_MPS = 3.0
 """Farther below the safe speed than this nothing needs to be eased off."""
 HOA_STOP = StopOptions(lag_ramp=False)
 """The heuristic online algorithm begins earlier by half the lag instead."""
-MARGIN_MPS, MARGIN_MPS2 = 0.08, 0.25
-"""Distance of the ceiling from the permitted speed: at least the first, and the second for each second of a
-period, in which the speed may rise before it is seen."""
+MARGIN_MPS, ASKED_MPS, ASKED_MPS2 = 0.25, 0.08, 0.25
+"""Distance of the ceiling from the permitted speed. Where commands act late, protection is asked in advance,
+and it is at least the second, and the third for each second of a period, in which the speed may rise unseen.
+"""
 TIGHT = 1.03
 """Time left over the least time below which no time is given away for a lower limit ahead."""
 
@@ -165,7 +166,9 @@ def prepare_expert(run: Run, section: Section, rules: ExpertRules, hoa: Hoa) -> 
         hoa: Knowledge of the brake.
     """
     model = model_of(run, section)
-    ceiling = ceiling_of(run, section, max(MARGIN_MPS, MARGIN_MPS2 * run.dt))
+    bounds = declared_bounds(run)
+    asked = bounds.delay_s + bounds.lag_s > 0.0
+    ceiling = ceiling_of(run, section, max(ASKED_MPS, ASKED_MPS2 * run.dt) if asked else MARGIN_MPS)
     ground = expert_track(model, ceiling, rules)
     return ExpertMemory(
         run=run,

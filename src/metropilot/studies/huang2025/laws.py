@@ -307,9 +307,9 @@ FADE_POINTS = 8
 BEYOND_M = 60.0
 FOR_LIMITS = 0.85
 """Share of the largest deceleration to brake for lower limits with: protection watches the brake build up."""
-UNDER_MPS, UNDER_MPS2 = 0.2, 0.4
-"""Speed below a lower limit's ceiling at which the braking for it ends: at least the first, and the second
-for each second of a period."""
+UNDER_MPS, UNDER_ASKED_MPS = 0.4, 0.2
+"""Speed below a lower limit's ceiling at which the braking for it ends; the second where commands act late and
+protection is asked in advance, but not less than the first for each second of a period."""
 
 
 class ExpertTrack(NamedTuple):
@@ -518,9 +518,10 @@ def _safe(model: Model, ceiling: Ceiling, rules: ExpertRules, at: np.ndarray) ->
     begins, limits = np.asarray(model.track.limit_from_m), np.asarray(model.track.limit_mps)
     here = limits[np.clip(np.searchsorted(begins, at, side="right") - 1, 0, limits.size - 1)]
     safe = np.minimum(here, [ceiling.at(float(x)) for x in at])
+    under = max(UNDER_ASKED_MPS, UNDER_MPS * model.dt) if ceiling.late_s > 0.0 else UNDER_MPS
     for place, lower in drops(model):
         most = _service_limit(float(model.vehicle.max_deceleration_mps2))
-        kept = min(lower, ceiling.at(place)) - max(UNDER_MPS, UNDER_MPS2 * model.dt)
+        kept = min(lower, ceiling.at(place)) - under
         begins = place - lower * lead_s(model)
         before = expert_safe_speed(np, rules, FOR_LIMITS * most, kept / rules.safe_share, begins - at, here)
         safe = np.where(at < place, np.minimum(safe, before), safe)
