@@ -308,8 +308,8 @@ BEYOND_M = 60.0
 FOR_LIMITS = 0.85
 """Share of the largest deceleration to brake for lower limits with: protection watches the brake build up."""
 UNDER_MPS, UNDER_ASKED_MPS = 0.4, 0.2
-"""Speed below a lower limit's ceiling at which the braking for it ends; the second where commands act late and
-protection is asked in advance, but not less than the first for each second of a period."""
+"""Speed below a lower limit's ceiling at which the braking for it ends; the second where commands act late
+and protection is asked in advance, but not less than the first for each second of a period."""
 
 
 class ExpertTrack(NamedTuple):
