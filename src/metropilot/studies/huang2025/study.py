@@ -160,7 +160,7 @@ def _wanted(rows: Sequence[ReportRow], cases: Sequence[str]) -> str:
     missed, most = [], max(WANTED_PERCENT[case] for case in cases)
     for case in cases:
         row = _value(rows, case, EITOP, LEFT if case in UPDATED else ABOVE_ATTAINABLE)
-        if row is None or row.ours is None or row.ours > WANTED_PERCENT[case]:
+        if row is None or row.ours is None or round(row.ours, 2) > WANTED_PERCENT[case]:
             missed.append(BY_ID[case].name)
     return f"Wanted: at most {most:g} %; missed: {', '.join(missed) or 'nowhere'}."
 
