@@ -3,7 +3,7 @@
 python -m benchmarks.generalist --write docs/generalist.md
 python -m benchmarks.generalist --sample 60 --rows rows.jsonl --tried RUN --trainset mine.toml
 
-``METROPILOT_TTOBENCH`` names a folder of TTOBench tracks to drive besides; they are not part of the project.
+``--ttobench`` names a folder of TTOBench tracks to drive besides; they are not part of the project.
 """
 
 from __future__ import annotations
@@ -412,6 +412,7 @@ def page(found: list[list[Result]], pairs: list[tuple[Result, Result]], options:
     )
     sample = f" --sample {options.sample}" if options.sample else ""
     sample += " --tried RUN" if options.tried else ""
+    sample += f" --ttobench {options.ttobench}" if options.ttobench else ""
     machine = circumstances(("metropilot", "clarabel", "numpy", "scipy"))
     return PAGE.format(
         worlds=worlds,
@@ -448,9 +449,10 @@ def main() -> None:
     parser.add_argument("--processes", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--tried", default="", metavar="RUN", help="file or run of a policy to drive besides")
     parser.add_argument("--trainset", action="append", default=[], help="a further trainset, once for each")
+    parser.add_argument("--ttobench", type=Path, metavar="FOLDER", help="the tracks of TTOBench, too")
     options = parser.parse_args()
-    folder = os.environ.get("METROPILOT_TTOBENCH")
-    parts = [cases(options.sample), wide_cases(options.trainset), others(Path(folder)) if folder else []]
+    tracks = others(options.ttobench) if options.ttobench else []
+    parts = [cases(options.sample), wide_cases(options.trainset), tracks]
     ours = [case for part in parts[:2] for case in part if case.driver == DRIVER]
     tried = {case: replace(case, policy=options.tried) for case in ours if options.tried}
     wanted = [*(case for part in parts for case in part), *tried.values()]
