@@ -452,6 +452,10 @@ def main() -> None:
     parser.add_argument("--ttobench", type=Path, metavar="FOLDER", help="the tracks of TTOBench, too")
     options = parser.parse_args()
     tracks = others(options.ttobench) if options.ttobench else []
+    if options.ttobench and not tracks:
+        parser.error(
+            f"--ttobench {options.ttobench}: no track that can be read (allowed: a folder with tracks/)"
+        )
     parts = [cases(options.sample), wide_cases(options.trainset), tracks]
     ours = [case for part in parts[:2] for case in part if case.driver == DRIVER]
     tried = {case: replace(case, policy=options.tried) for case in ours if options.tried}

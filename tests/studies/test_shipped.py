@@ -8,8 +8,12 @@ from metropilot.learn import RECIPES, TeacherConfig, config_from_mapping, imitat
 from metropilot.policy import load_policy, shipped_policy
 from metropilot.studies import STUDIES
 from metropilot.studies.chen2023b import learning as chen2023b
+from metropilot.studies.chen2023b import ship as chen2023b_ship
 from metropilot.studies.cheng2023 import learning as cheng2023
+from metropilot.studies.huang2025 import ship as huang2025_ship
+from metropilot.studies.learning import print_shipped
 from metropilot.studies.lu2023 import drives as lu2023
+from metropilot.studies.lu2023 import ship as lu2023_ship
 from metropilot.studies.lu2023.learning import ALL_STEPS, LEARNING, plan_job
 from metropilot.studies.lu2023.setting import PLANS
 
@@ -76,3 +80,18 @@ def test_the_policies_of_one_plan_were_learned_as_the_study_says(plan):
     assert declare(about) == job.config
     assert PolicyInterface.from_dict(about["perception"]) == task.config.interface
     assert policy.spec == spec_of(job.config, task)
+
+
+@pytest.mark.parametrize(
+    "study", [chen2023b_ship, huang2025_ship, lu2023_ship], ids=lambda each: each.__name__
+)
+def test_a_folder_without_learning_runs_ships_nothing(study, tmp_path, monkeypatch, capsys):
+    before = {path: path.read_bytes() for path in POLICIES.glob("*.safetensors")}
+    monkeypatch.setattr("sys.argv", ["ship", str(tmp_path)])
+    with pytest.raises(SystemExit) as ended:
+        print_shipped(study.ship)
+    said = capsys.readouterr()
+    assert (ended.value.code, said.out, said.err.count("\n")) == (2, "", 1)
+    assert str(tmp_path) in said.err
+    assert before == {path: path.read_bytes() for path in POLICIES.glob("*.safetensors")}
+    assert not any(tmp_path.iterdir())

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from multiprocessing import current_process
@@ -109,6 +110,33 @@ def learn_seeds(
             for number, line in enumerate(pool(delayed(_learn)(job, folder) for job in todo), 1):
                 say(f"{number} of {len(todo)}: {line}")
     return [_read(job, folder) for job in jobs]
+
+
+def read_seeds(jobs: Sequence[LearnJob], folder: Path) -> list[SeedResult]:
+    """Read finished learning runs, in the order of the jobs, and learn nothing.
+
+    Args:
+        jobs: The runs.
+        folder: Parent of the runs' folders.
+
+    Raises:
+        InputError: A run is not there, not finished, or of another seed, configuration or task.
+    """
+    for job in jobs:
+        if not is_done(job, folder):
+            raise InputError("no learning run is there", file=folder, field="run", value=job.run_id)
+    return [_read(job, folder) for job in jobs]
+
+
+def print_shipped(ship: Callable[[Path], Sequence[Path]]) -> None:
+    """Ship policies from the folder on the command line and print their files; exit code 2 if refused."""
+    if len(sys.argv) != 2:
+        sys.exit("usage: python -m metropilot.studies.STUDY.ship FOLDER")
+    try:
+        sys.stdout.writelines(f"{path}\n" for path in ship(Path(sys.argv[1])))
+    except InputError as error:
+        sys.stderr.write(f"metropilot: {error}\n")
+        sys.exit(2)
 
 
 def is_done(job: LearnJob, folder: Path) -> bool:

@@ -165,7 +165,7 @@ def judge_claim(claim: Claim, rows: Sequence[ReportRow]) -> ClaimVerdict:
     why = _rival_words(claim, rival)
     if claim.chance:
         chance = find_row(replace(claim, kpi=claim.chance), claim.driver, rows)
-        judgement, why = _doubt(judgement, None if chance is None else chance.ours)
+        judgement, why = _judge_chance(judgement, None if chance is None else chance.ours)
     if row.published is None:
         why = f"no number is printed; {why}"
     return ClaimVerdict(
@@ -217,8 +217,8 @@ def _against_published(claim: Claim, row: ReportRow, low: float, high: float) ->
     return "beaten" if better else "missed"
 
 
-def _doubt(judgement: Judgement, p: float | None) -> tuple[Judgement, str]:
-    """Judgement of a comparison of two learners, and why: none where their difference may be chance."""
+def _judge_chance(judgement: Judgement, p: float | None) -> tuple[Judgement, str]:
+    """Withdraw the judgement of a comparison of two learners whose difference may be chance; and why."""
     if p is None:
         return "cannot be tested", "too few seeds for a test"
     if p >= SIGNIFICANCE:

@@ -5,13 +5,12 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 
 from metropilot.policy import load_policy, save_policy, shipped_policy
 from metropilot.studies.chen2023b.learning import NAMES, jobs
 from metropilot.studies.chen2023b.study import median_of
-from metropilot.studies.learning import learn_seeds
+from metropilot.studies.learning import print_shipped, read_seeds
 
 COMMAND = "metropilot reproduce chen2023b --budget paper"
 SEEDS, ETA, RUNS = 10, "soft", "runs"
@@ -23,11 +22,14 @@ def ship(folder: Path) -> list[Path]:
     """Write the median seed's policy of each follower that learns.
 
     Args:
-        folder: Output of the study; learning runs that it lacks are done now.
+        folder: Output of the study.
+
+    Raises:
+        InputError: The folder lacks a learning run.
     """
     shipped = []
     for algorithm, follower in NAMES.items():
-        runs = learn_seeds(jobs(algorithm, "paper", ETA, range(SEEDS)), folder / RUNS)
+        runs = read_seeds(jobs(algorithm, "paper", ETA, range(SEEDS)), folder / RUNS)
         chosen = runs[median_of(runs)]
         path = shipped_policy(follower)
         _, about = load_policy(path)
@@ -40,5 +42,4 @@ def ship(folder: Path) -> list[Path]:
 
 
 if __name__ == "__main__":
-    for path in ship(Path(sys.argv[1])):
-        sys.stdout.write(f"{path}\n")
+    print_shipped(ship)

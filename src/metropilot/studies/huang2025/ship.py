@@ -6,13 +6,12 @@
 from __future__ import annotations
 
 import shutil
-import sys
 from pathlib import Path
 
 from metropilot.policy import shipped_policy
 from metropilot.studies.huang2025.learning import jobs, write_result
 from metropilot.studies.huang2025.setting import LEARNED
-from metropilot.studies.learning import learn_seeds
+from metropilot.studies.learning import print_shipped, read_seeds
 
 SEEDS, RUNS = 10, Path("runs", "huang2025")
 
@@ -21,10 +20,13 @@ def ship(folder: Path) -> list[Path]:
     """Write the policy of each learned driver with the median score.
 
     Args:
-        folder: Output of the study; learning runs that it lacks are done now.
+        folder: Output of the study.
+
+    Raises:
+        InputError: The folder lacks a learning run.
     """
     shipped = []
-    results = learn_seeds(jobs(range(SEEDS), "paper"), folder / RUNS)
+    results = read_seeds(jobs(range(SEEDS), "paper"), folder / RUNS)
     for driver in LEARNED:
         mine = [result for result in results if result.job.about["driver"] == driver]
         chosen = sorted(mine, key=lambda result: result.score)[(len(mine) - 1) // 2]
@@ -35,5 +37,4 @@ def ship(folder: Path) -> list[Path]:
 
 
 if __name__ == "__main__":
-    for path in ship(Path(sys.argv[1])):
-        sys.stdout.write(f"{path}\n")
+    print_shipped(ship)

@@ -155,8 +155,8 @@ def _percent_range(rows: Sequence[ReportRow], case: str, driver: str, kpi: str) 
     return f"{row.ours:.2f} % ({row.high:.2f} %; {BY_ID[case].name})"
 
 
-def _wanted(rows: Sequence[ReportRow], cases: Sequence[str]) -> str:
-    """Cases in which EITOP needs more than wanted above what is possible, as a sentence."""
+def _name_missed(rows: Sequence[ReportRow], cases: Sequence[str]) -> str:
+    """Name the cases in which EITOP needs more than wanted above what is possible, in a sentence."""
     missed, most = [], max(WANTED_PERCENT[case] for case in cases)
     for case in cases:
         row = _value(rows, case, EITOP, LEFT if case in UPDATED else ABOVE_ATTAINABLE)
@@ -218,14 +218,14 @@ def remarks(rows: Sequence[ReportRow], *, budget: str) -> list[str]:
         (
             "EITOP above the attainable optimum, which knows its limits, dead time, lag and protection "
             f"(largest of all seeds): {', '.join(over(ABOVE_ATTAINABLE, COMPARED))}. "
-            f"{_wanted(rows, COMPARED)} Above the optimum of its limits alone, which no driver with this "
-            f"actuation reaches: {', '.join(over(ABOVE, COMPARED))}."
+            f"{_name_missed(rows, COMPARED)} Above the optimum of its limits alone, which no driver with "
+            f"this actuation reaches: {', '.join(over(ABOVE, COMPARED))}."
         ),
         (
             "After a late update the optimum in hindsight is out of reach, because the drive before "
             "the update is already done. EITOP above the least energy still possible under protection once a "
-            f"command given at the update acts: {', '.join(over(LEFT, UPDATED))}. {_wanted(rows, UPDATED)} "
-            f"It arrives after {_arrivals(rows)}."
+            f"command given at the update acts: {', '.join(over(LEFT, UPDATED))}. "
+            f"{_name_missed(rows, UPDATED)} It arrives after {_arrivals(rows)}."
         ),
         (
             f"Compared with the model `manual` EITOE saves {_saving(rows, EITOE)} of Ie and EITOP "

@@ -7,7 +7,6 @@ plans become the drivers ``improved_dqn`` and ``dqn``; those of one plan belong 
 from __future__ import annotations
 
 import shutil
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -16,6 +15,7 @@ import numpy as np
 
 from metropilot.errors import InputError
 from metropilot.policy import shipped_policy
+from metropilot.studies.learning import print_shipped
 from metropilot.studies.lu2023.drives import notch_front, policy_file
 from metropilot.studies.lu2023.setting import PLANS, PlanCase
 from metropilot.units import J_PER_KWH
@@ -69,5 +69,4 @@ def ship(folder: Path) -> list[Path]:
 
 
 if __name__ == "__main__":
-    for path in ship(Path(sys.argv[1])):
-        sys.stdout.write(f"{path}\n")
+    print_shipped(ship)
