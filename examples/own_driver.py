@@ -41,8 +41,9 @@ class Cruise(AbstractDriver):
         model, ceiling, forecast, curve, estimate, hold, braking = memory
         now_s, length_m = observation.time_s, float(model.track.length_m)
         estimate = control.update_estimate(model, estimate, *observation[1:4])
-        stop = control.stop_command(model, estimate, length_m, curve)
-        share, ahead = stop.share, stop.ahead
+        ahead = control.look_ahead(model, estimate)
+        stop = control.stop_command(model, ahead, length_m, curve)
+        share = stop.share
         braking = braking or stop.required_mps2 >= curve.deceleration_mps2
         if not braking:
             if (now_s + 0.05) % 3.0 < 0.1:  # every three seconds: which speed arrives on time?

@@ -7,7 +7,16 @@ import pytest
 
 from metropilot.drivers import DRIVERS
 from metropilot.planning import minimum_running_time
-from metropilot.railway import Curve, Restriction, Section, Station, Steps, load_line, load_trainset
+from metropilot.railway import (
+    Actuation,
+    Curve,
+    Restriction,
+    Section,
+    Station,
+    Steps,
+    load_line,
+    load_trainset,
+)
 from metropilot.sim import Disturbance, Outcome, Run, TimetableUpdate, drive
 
 UNKNOWN = {"resistance_factor": 1.5, "delay_s": 0.6, "lag_s": 0.4, "speed_noise_mps": 0.05}
@@ -58,6 +67,22 @@ def test_flat_out_slows_for_a_restriction_announced_on_the_way(dkz32):
     assert done.interventions == 0
     inside = (done.trajectory.position_m > 700.0) & (done.trajectory.position_m < 900.0)
     assert 9.0 < done.trajectory.speed_mps[inside].max() <= 10.0
+
+
+@pytest.mark.parametrize(
+    ("name", "where", "late", "dt"),
+    [
+        ("ch_stadler_kiss_sbb", "CQN-JHL", Actuation(0.03, 0.07, 0.79), 1.0),
+        ("ch_stadler_kiss_sbb", "WHY-WYJ", Actuation(0.08, 0.57, 0.6), 0.2),
+    ],
+)
+def test_flat_out_asks_protection_before_it_steps_in(name, where, late, dt):
+    """It was overruled, in the first case four times with the emergency brake."""
+    run = Run(section(where), replace(load_trainset(name), actuation=late), 200.0, dt=dt)
+    done, error = driven("flat_out", run)
+    assert done.outcome is Outcome.ARRIVED
+    assert (done.interventions, done.max_overspeed_mps) == (0, 0.0)
+    assert abs(error) < 0.1
 
 
 # By hand, 26 sections x 4 seeds: all within 3 s (extremes -2.1 and 1.2) and 0.14 m.

@@ -113,8 +113,8 @@ def drive_to_stop(trainset, scenario, seed):
         )
         estimate = update_estimate(model, estimate, *seen)
         comfortable = held or comfortable_deceleration(model, estimate, gradient)
-        stop = stop_command(model, estimate, LENGTH_M, curve_for(model.vehicle, DT, comfortable))
         ahead = look_ahead(model, estimate)
+        stop = stop_command(model, ahead, LENGTH_M, curve_for(model.vehicle, DT, comfortable))
         if held or stop.required_mps2 >= comfortable:
             held, share = comfortable, stop.share
         else:

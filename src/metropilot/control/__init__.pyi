@@ -3,6 +3,7 @@ from .adaptation import adapt_trainset as adapt_trainset
 from .adaptation import adapt_vehicle as adapt_vehicle
 from .adaptation import departs_from as departs_from
 from .ceiling import Ceiling as Ceiling
+from .ceiling import ask_protection as ask_protection
 from .ceiling import ceiling_acceleration as ceiling_acceleration
 from .ceiling import ceiling_of as ceiling_of
 from .ceiling import closing_acceleration as closing_acceleration

@@ -15,7 +15,7 @@ import numpy as np
 from numpy import ndarray
 
 from metropilot._typing import Flag, Float, Scalar
-from metropilot.control.estimator import StateEstimate
+from metropilot.control.estimator import StateEstimate, look_along
 from metropilot.control.prediction import Model, PredictedState
 from metropilot.control.stopping import AT_ONCE_MPS3, StopCurve, required_with_build_up
 from metropilot.physics import Command, least_between, namespace, repeat, track_arrays, vehicle_arrays
@@ -35,7 +35,7 @@ from metropilot.protection import (
     usable_deceleration,
 )
 from metropilot.railway import Section
-from metropilot.sim import Run, declared_bounds
+from metropilot.sim import Observation, Run, declared_bounds
 
 CLEARING_STEPS = 7
 """Bisection steps for the largest admissible command; the last interval is 2 / 2^7."""
@@ -215,6 +215,29 @@ def largest_admissible_command(
         if passes:
             return share, after
     return _largest_between(decide, admits, share, least)
+
+
+def ask_protection(
+    guard: Protection,
+    supervision: Memory,
+    model: Model,
+    estimate: StateEstimate,
+    observation: Observation,
+    share: Scalar,
+) -> tuple[float, Memory]:
+    """Largest command that protection admits on the way as estimated, and the memory of protection after it.
+
+    Args:
+        guard: Protection of the section.
+        supervision: Memory of protection kept alongside.
+        model: Nominal trainset and section.
+        estimate: State and plant as estimated.
+        observation: Measurements of this period.
+        share: Wanted command in [-1, 1].
+    """
+    look = look_along(model, estimate, supervision)
+    seen = observation.position_m, observation.speed_mps
+    return largest_admissible_command(guard, supervision, *seen, share, look)
 
 
 def _largest_between(

@@ -34,7 +34,7 @@ from metropilot.control.prediction import (
     predict_motion,
     predict_path,
 )
-from metropilot.physics import Vehicle, curve_n, effort_limits, namespace
+from metropilot.physics import Vehicle, curve_n, effort_limits, namespace, push_command
 from metropilot.protection import Memory
 
 MAX_EXTRA_DELAY_S = 1.0
@@ -407,8 +407,8 @@ def update_estimate(
 
 def record_command(estimate: StateEstimate, share: float) -> StateEstimate:
     """Add the command just given to the estimate."""
-    commands = np.concatenate([[min(max(float(share), -1.0), 1.0)], estimate.commands[:-1]])
-    return estimate._replace(commands=commands)
+    newest = min(max(float(share), -1.0), 1.0)
+    return estimate._replace(commands=push_command(estimate.commands, newest))
 
 
 @no_type_check

@@ -29,7 +29,7 @@ import numpy as np
 from numpy import ndarray
 
 from metropilot._typing import Flag, Float, Scalar
-from metropilot.control.estimator import StateEstimate, look_ahead
+from metropilot.control.estimator import StateEstimate
 from metropilot.control.prediction import Model, PredictedState
 from metropilot.physics import Vehicle, effort_at, namespace, repeat, resistance_and_gradient, scalars
 
@@ -487,7 +487,7 @@ class Stop(NamedTuple):
 
 def stop_command(
     model: Model,
-    estimate: StateEstimate,
+    ahead: PredictedState,
     target_m: float,
     curve: StopCurve,
     options: StopOptions = STOP_OPTIONS,
@@ -496,12 +496,11 @@ def stop_command(
 
     Args:
         model: Nominal trainset and section.
-        estimate: From :func:`metropilot.control.estimator.update_estimate`.
+        ahead: State when the command begins to act, from :func:`metropilot.control.look_ahead`.
         target_m: Position of the stop.
         curve: Shape of the stop; deviations from its deceleration are corrected with a small gain.
         options: Constants of the stop.
     """
-    ahead = look_ahead(model, estimate)
     v, distance = ahead.speed_mps, target_m - ahead.position_m
     if v <= 0 and distance < options.inch_m:
         wanted = -max(curve.end_mps2, options.hold_mps2)
@@ -528,6 +527,7 @@ def _comes_near(required_mps2: float, curve: StopCurve, ahead: PredictedState) -
 def stop_with_brake(
     model: Model,
     estimate: StateEstimate,
+    ahead: PredictedState,
     target_m: float,
     curve: StopCurve,
     use: float,
@@ -541,6 +541,7 @@ def stop_with_brake(
     Args:
         model: Nominal trainset and section.
         estimate: State and plant as estimated.
+        ahead: State when the command begins to act, from :func:`metropilot.control.look_ahead`.
         target_m: Position of the stop.
         curve: Shape of the stop.
         use: Share of the brake to count on.
@@ -549,7 +550,7 @@ def stop_with_brake(
     Returns:
         The command, and the deceleration that the stop may count on, m/s^2; infinite while it is far off.
     """
-    stop = stop_command(model, estimate, target_m, curve, options)
+    stop = stop_command(model, ahead, target_m, curve, options)
     if not _comes_near(stop.required_mps2, curve, stop.ahead):
         return stop, math.inf
     available = use * deceleration_to(model, estimate, stop)
@@ -557,7 +558,7 @@ def stop_with_brake(
         if available < SCARCE_SHARE * curve.deceleration_mps2:
             options = replace(options, return_gain=SCARCE_GAIN, at_once_gain=SCARCE_GAIN)
         curve = curve._replace(deceleration_mps2=available)
-        stop = stop_command(model, estimate, target_m, curve, options)
+        stop = stop_command(model, ahead, target_m, curve, options)
     return stop, available
 
 

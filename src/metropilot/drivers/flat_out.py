@@ -9,6 +9,7 @@ from metropilot.control import (
     Ceiling,
     Model,
     StateEstimate,
+    ask_protection,
     ceiling_acceleration,
     ceiling_of,
     comfortable_deceleration,
@@ -22,6 +23,7 @@ from metropilot.control import (
     update_estimate,
     weakest_gradient,
 )
+from metropilot.protection import Memory, at_start
 from metropilot.railway import Section
 from metropilot.sim import AbstractDriver, Observation, Run
 
@@ -34,6 +36,7 @@ class FlatOutMemory(NamedTuple):
         section: The section as last announced.
         model: Trainset and section as believed.
         ceiling: Speeds to keep under.
+        supervision: Memory of protection kept alongside.
         gradient_mps2: Steepest downhill before the stop.
         estimate: State and plant as estimated.
         braking_mps2: Deceleration of the final braking, 0 before it.
@@ -43,6 +46,7 @@ class FlatOutMemory(NamedTuple):
     section: Section
     model: Model
     ceiling: Ceiling
+    supervision: Memory
     gradient_mps2: float
     estimate: StateEstimate
     braking_mps2: float
@@ -56,12 +60,13 @@ class FlatOut(AbstractDriver):
 
     def init(self, run: Run) -> FlatOutMemory:
         """Look at the section once."""
-        model = model_of(run, run.section)
+        model, ceiling = model_of(run, run.section), ceiling_of(run, run.section)
         return FlatOutMemory(
             run=run,
             section=run.section,
             model=model,
-            ceiling=ceiling_of(run, run.section),
+            ceiling=ceiling,
+            supervision=at_start(ceiling.guard),
             gradient_mps2=weakest_gradient(model, run.section.length_m),
             estimate=initial_estimate(model),
             braking_mps2=0.0,
@@ -77,19 +82,23 @@ class FlatOut(AbstractDriver):
             observation.position_m,
             observation.speed_mps,
             observation.acceleration_mps2,
-            overruled=observation.intervention > 0,
+            overruled=int(memory.supervision.level) > 0 or observation.intervention > 0,
         )
         share, braking = self._share(memory, estimate)
-        return share, memory._replace(estimate=record_command(estimate, share), braking_mps2=braking)
+        guard = memory.ceiling.guard
+        share, supervision = ask_protection(guard, memory.supervision, model, estimate, observation, share)
+        return share, memory._replace(
+            estimate=record_command(estimate, share), supervision=supervision, braking_mps2=braking
+        )
 
     def _share(self, memory: FlatOutMemory, estimate: StateEstimate) -> tuple[float, float]:
         model, target = memory.model, memory.section.length_m
         comfortable = memory.braking_mps2 or comfortable_deceleration(model, estimate, memory.gradient_mps2)
         curve = curve_for(model.vehicle, model.dt, comfortable)
-        stop, available = stop_with_brake(model, estimate, target, curve, SERVICE_USE)
+        ahead = look_ahead(model, estimate)
+        stop, available = stop_with_brake(model, estimate, ahead, target, curve, SERVICE_USE)
         if memory.braking_mps2 or stop.required_mps2 >= comfortable or stop.later_mps2 >= available:
             return stop.share, comfortable
-        ahead = look_ahead(model, estimate)
         wanted = ceiling_acceleration(model, ahead, memory.ceiling, float("inf"), curve)
         return min(ahead.share_for(wanted), traction_limit(estimate, ahead, memory.ceiling)), 0.0
 

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple, final
 import numpy as np
 
 from metropilot._typing import Scalar
-from metropilot.control import Adaptation, adapt_trainset, look_ahead
+from metropilot.control import Adaptation, PredictedState, adapt_trainset, look_ahead
 from metropilot.drivers import mismatch
 from metropilot.drivers.mismatch import PlantMonitor
 from metropilot.env import (
@@ -140,11 +140,12 @@ class LearnedDriver(AbstractDriver):
             outdated = not self.keeps_tables and mismatch.is_outdated(monitor, observation.time_s)
             if outdated and not memory.stopping:
                 memory = self._adapt_tables(memory, monitor, observation.time_s)
-        context = self._context(memory, observation)
+        ahead = self._ahead(memory)
+        context = self._context(memory, observation, ahead)
         action, wanted, decided = self._decide(memory, context, observation.time_s)
         interface = self.interface
         command = interface.action.hold(context, action, wanted)
-        command, stopping = self._apply_assists(memory, context, command)
+        command, stopping = self._apply_assists(memory, context, ahead, command)
         command = interface.action.round(context, command)
         if memory.monitor is not None:
             share, monitor = mismatch.limit_by_protection(memory.monitor, observation, float(command))
@@ -158,7 +159,8 @@ class LearnedDriver(AbstractDriver):
     def feature_sizes(self, run: Run) -> dict[str, int]:
         """Number of numbers that each feature has in the observation, in its order."""
         standing = Observation(0.0, 0.0, 0.0, 0.0, run.scheduled_time_s, 0.0, run.section)
-        context = self._context(self.init(run), standing)
+        memory = self.init(run)
+        context = self._context(memory, standing, self._ahead(memory))
         return {name: len(FEATURES.get(name)(context)) for name in self.interface.features}
 
     def _decide(
@@ -174,13 +176,19 @@ class LearnedDriver(AbstractDriver):
         wanted = as_double(interface.action.command(context, action, interface.period_s))
         return action, wanted, int((time_s + DECISION_EARLY_S) / interface.period_s) + 1
 
-    def _apply_assists(self, memory: LearnedMemory, context: FeatureContext, command: Any) -> tuple[Any, Any]:  # noqa: ANN401
+    def _apply_assists(
+        self,
+        memory: LearnedMemory,
+        context: FeatureContext,
+        ahead: PredictedState | None,
+        command: Any,  # noqa: ANN401 (a number of NumPy's)
+    ) -> tuple[Any, Any]:
         """Apply the assists as learned, or the careful ones under plant mismatch."""
         assists, monitor, dt = self.interface.assists, memory.monitor, memory.run.dt
-        if monitor is None or monitor.protection is None:
+        if monitor is None or ahead is None:
             return apply_assists(assists, context, command, memory.stopping, dt)
         planned = self._planned_mps2(monitor, context.stop_mps2)
-        stopping, share, ahead = mismatch.station_stop_braking(monitor, planned, bool(memory.stopping))
+        stopping, share = mismatch.station_stop_braking(monitor, ahead, planned, bool(memory.stopping))
         if stopping:
             command = as_double(share)
         elif (
@@ -234,15 +242,24 @@ class LearnedDriver(AbstractDriver):
         monitor = monitor._replace(adapted=shown, adapted_at_s=time_s)
         return memory._replace(rows=rows, case=rows.case(0), monitor=monitor)
 
-    def _context(self, memory: LearnedMemory, observation: Observation) -> FeatureContext:
+    @staticmethod
+    def _ahead(memory: LearnedMemory) -> PredictedState | None:
+        """State when a command given now begins to act; None: at once."""
+        monitor = memory.monitor
+        if monitor is None or monitor.protection is None:
+            return None
+        return look_ahead(monitor.model, monitor.estimate)
+
+    def _context(
+        self, memory: LearnedMemory, observation: Observation, ahead: PredictedState | None
+    ) -> FeatureContext:
         """Features' context: the state as it is, or as it will be when its command begins to act."""
         case, monitor, assists = memory.case, memory.monitor, self.interface.assists
         time, x, v, a = observation[:4]
         scheduled = observation.scheduled_time_s
-        if monitor is None or monitor.protection is None:
+        if monitor is None or ahead is None:
             stop_mps2 = assists.planned_mps2(memory.rows, 0, case.stop_mps2, float(x))
         else:
-            ahead = look_ahead(monitor.model, monitor.estimate)
             time, x, v, a = time + ahead.seconds, ahead.position_m, ahead.speed_mps, ahead.acceleration_mps2
             stop_mps2 = assists.planned_mps2(memory.rows, 0, case.stop_mps2, float(x))
             planned, own = self._planned_mps2(monitor, stop_mps2), stop_options(assists.release)

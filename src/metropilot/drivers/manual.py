@@ -233,16 +233,16 @@ def _decide(memory: ManualMemory) -> tuple[float, Intent]:
     """Choose the lever position and the intention behind it."""
     model, estimate, intent, curve = memory.model, memory.estimate, memory.intent, memory.curve
     target = memory.section.length_m + memory.habits.aim_m
-    if intent.braking:
-        return _to_notch(stop_command(model, estimate, target, curve).share), intent
     ahead = look_ahead(model, estimate)
+    if intent.braking:
+        return _to_notch(stop_command(model, ahead, target, curve).share), intent
     hand_s = max(memory.habits.reaction_s, model.dt)
     early_m = ahead.speed_mps * (hand_s + memory.habits.onset_s)
     required, _ = required_with_build_up(
         ahead.speed_mps, ahead.acceleration_mps2, target - ahead.position_m - early_m, curve
     )
     if required >= curve.deceleration_mps2:
-        return _to_notch(stop_command(model, estimate, target, curve).share), intent._replace(braking=True)
+        return _to_notch(stop_command(model, ahead, target, curve).share), intent._replace(braking=True)
     sooner = ahead._replace(position_m=ahead.position_m + ahead.speed_mps * hand_s)
     limited = ceiling_acceleration(model, sooner, memory.ceiling, math.inf, curve)
     if limited < -0.05:

@@ -27,6 +27,7 @@ from metropilot.control import (
     StateEstimate,
     StopCurve,
     StopOptions,
+    ask_protection,
     braking_distance,
     braking_time,
     build_up,
@@ -34,8 +35,6 @@ from metropilot.control import (
     curve_for,
     departs_from,
     initial_estimate,
-    largest_admissible_command,
-    look_along,
     model_of,
     record_command,
     stand,
@@ -235,12 +234,13 @@ def limit_to_ceiling(monitor: PlantMonitor, ahead: PredictedState, share: float,
 
 
 def station_stop_braking(
-    monitor: PlantMonitor, planned_mps2: float, stopping: bool
-) -> tuple[bool, float, PredictedState]:
-    """Decide on the station-stop braking: True if it is on, its command, and the state in which that acts.
+    monitor: PlantMonitor, ahead: PredictedState, planned_mps2: float, stopping: bool
+) -> tuple[bool, float]:
+    """Decide on the station-stop braking: True if it is on, and its command.
 
     Args:
         monitor: Estimate of the plant.
+        ahead: State in which a command given now begins to act.
         planned_mps2: Deceleration the policy's station-stop braking is planned with.
         stopping: True if it was on.
     """
@@ -248,13 +248,13 @@ def station_stop_braking(
     target = float(model.track.length_m)
     options = stop_options(monitor)
     curve = curve_for(model.vehicle, model.dt, rate, options)
-    stop, available = stop_with_brake(model, monitor.estimate, target, curve, CAREFUL_USE, options)
+    stop, available = stop_with_brake(model, monitor.estimate, ahead, target, curve, CAREFUL_USE, options)
     left = stop.left_m
     early = stop.required_mps2 < LET_GO * rate and left > LET_GO_M
-    short = stop.ahead.speed_mps <= 0 and left > LET_GO_M
+    short = ahead.speed_mps <= 0 and left > LET_GO_M
     begins = stop.required_mps2 >= BEGIN * rate or stop.later_mps2 >= min(LATEST * planned_mps2, available)
     share = stand(model, stop, NEAR_ENOUGH_M, NEAR_ENOUGH_M, options)
-    return (begins or (stopping and not early)) and not short, share, stop.ahead
+    return (begins or (stopping and not early)) and not short, share
 
 
 def limit_by_protection(
@@ -264,11 +264,8 @@ def limit_by_protection(
     if monitor.protection is None:
         return share, monitor
     protection = monitor.protection
-    look = look_along(monitor.model, monitor.estimate, protection.supervision)
-    seen = observation.position_m, observation.speed_mps
-    share, supervision = largest_admissible_command(
-        protection.ceiling.guard, protection.supervision, *seen, share, look
-    )
+    guard, before = protection.ceiling.guard, protection.supervision
+    share, supervision = ask_protection(guard, before, monitor.model, monitor.estimate, observation, share)
     return float(share), monitor._replace(protection=protection._replace(supervision=supervision))
 
 

@@ -22,13 +22,12 @@ from metropilot.control import (
     StopOptions,
     adapt_trainset,
     adapt_vehicle,
+    ask_protection,
     ceiling_of,
     curve_for,
     departs_from,
     initial_estimate,
-    largest_admissible_command,
     look_ahead,
-    look_along,
     model_of,
     record_command,
     stand,
@@ -238,13 +237,13 @@ class Optimal(AbstractDriver):
             memory = self._replan(memory, observation)
         target = float(memory.model.track.length_m)
         use = self._brake_use(memory.model.vehicle, memory.adapted, memory.ceiling, memory.coupled)
-        stop, available = stop_with_brake(memory.model, estimate, target, memory.curve, use)
+        ahead = look_ahead(memory.model, estimate)
+        stop, available = stop_with_brake(memory.model, estimate, ahead, target, memory.curve, use)
         braking = memory.braking or self._takes_over(memory, stop, available)
-        share = self._brake(memory, stop) if braking else self._follow(memory)
-        look = look_along(memory.model, estimate, memory.supervision)
-        seen = observation.position_m, observation.speed_mps
-        share, supervision = largest_admissible_command(
-            memory.ceiling.guard, memory.supervision, *seen, share, look
+        share = self._brake(memory, stop) if braking else self._follow(memory, ahead)
+        guard = memory.ceiling.guard
+        share, supervision = ask_protection(
+            guard, memory.supervision, memory.model, estimate, observation, share
         )
         return share, replace(
             memory,
@@ -275,10 +274,9 @@ class Optimal(AbstractDriver):
         options = LAG_STOP if memory.ceiling.lag_s > 0.0 else STOP_OPTIONS
         return stand(memory.model, stop, self.options.near_enough_m, CREEP_M, options)
 
-    def _follow(self, memory: FollowingMemory) -> float:
+    def _follow(self, memory: FollowingMemory, ahead: PredictedState) -> float:
         """The command that keeps to the plan's speed at the state where it begins to act."""
         plan, dt = memory.plan, memory.model.dt
-        ahead = look_ahead(memory.model, memory.estimate)
         # The plan counts on no stronger brake than the nominal one; neither may the command that follows it.
         ahead = ahead._replace(brake_mps2=ahead.brake_mps2 / max(memory.estimate.brake_gain, 1.0))
         here = plan_speed(plan, ahead.position_m)

@@ -26,12 +26,11 @@ from metropilot.control import (
     StateEstimate,
     Stop,
     StopCurve,
+    ask_protection,
     ceiling_of,
     curve_for,
     initial_estimate,
-    largest_admissible_command,
     look_ahead,
-    look_along,
     model_of,
     record_command,
     stop_with_brake,
@@ -232,14 +231,9 @@ class AbstractTracker(AbstractDriver):
         memory = memory._replace(controller=controller, command=command)
         memory = self._hand_over(memory, ahead)
         share = self._share(memory, ahead)
-        look = look_along(memory.model, estimate, memory.supervision)
-        share, supervision = largest_admissible_command(
-            memory.ceiling.guard,
-            memory.supervision,
-            observation.position_m,
-            observation.speed_mps,
-            share,
-            look,
+        guard = memory.ceiling.guard
+        share, supervision = ask_protection(
+            guard, memory.supervision, memory.model, estimate, observation, share
         )
         return share, memory._replace(
             estimate=record_command(estimate, share),
@@ -249,7 +243,9 @@ class AbstractTracker(AbstractDriver):
 
     def _share(self, memory: TrackingMemory, ahead: PredictedState) -> float:
         """Command of the stop's own law once it drives, before that the controller's, ahead of the lag."""
-        return self._stop(memory, memory.stop)[0].share if memory.stopping else ahead.lead(memory.command)
+        return (
+            self._stop(memory, ahead, memory.stop)[0].share if memory.stopping else ahead.lead(memory.command)
+        )
 
     def _control(self, memory: TrackingMemory, seen: TrackingView) -> tuple[float, Any]:
         """The law's command, in a longer control period than its gains are for as in several of theirs."""
@@ -260,10 +256,10 @@ class AbstractTracker(AbstractDriver):
         # The law is incremental, and the plant answers for so much longer before it sees what came of it.
         return memory.command + (float(wanted) - memory.command) / periods, controller
 
-    def _stop(self, memory: TrackingMemory, curve: StopCurve) -> tuple[Stop, float]:
+    def _stop(self, memory: TrackingMemory, ahead: PredictedState, curve: StopCurve) -> tuple[Stop, float]:
         """The stop, and the deceleration that it may count on: what the brake surely gives."""
         target = float(memory.model.track.length_m)
-        return stop_with_brake(memory.model, memory.estimate, target, curve, SERVICE_USE)
+        return stop_with_brake(memory.model, memory.estimate, ahead, target, curve, SERVICE_USE)
 
     def _hand_over(self, memory: TrackingMemory, ahead: PredictedState) -> TrackingMemory:
         """Give the last metres to the stop's own law, from the deceleration that is in force there."""
@@ -272,7 +268,7 @@ class AbstractTracker(AbstractDriver):
         left = float(memory.model.track.length_m) - ahead.position_m
         curve = self._curve(memory.model)
         rate = float(curve.deceleration_mps2)
-        stop, available = self._stop(memory, curve)
+        stop, available = self._stop(memory, ahead, curve)
         required, most = stop.required_mps2, min(available, LATEST * rate)
         if left > HANDOVER_M and required < ALARM * rate and stop.later_mps2 < most:
             return memory

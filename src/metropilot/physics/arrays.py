@@ -40,7 +40,8 @@ class scalars:  # noqa: N801 -- stands where a module does: numpy, jax.numpy, sc
     @staticmethod
     def clip(x: Scalar, low: Scalar, high: Scalar) -> Scalar:
         """Between two bounds."""
-        return scalars.minimum(scalars.maximum(x, low), high)
+        least = x if x >= low or x != x else low  # noqa: PLR0124
+        return least if least <= high or least != least else high  # noqa: PLR0124
 
     @staticmethod
     def where(condition: Scalar, yes: Any, no: Any) -> Any:

@@ -160,6 +160,14 @@ def mean_slopes(vehicle: Vehicle, track: Track, position_m: Scalar) -> tuple[Sca
     # ``where`` computes both branches: that of a length must stay finite for a point mass, too.
     per_length = 1.0 / xp.maximum(vehicle.length_m, 1e-6)
     is_point = vehicle.length_m <= 0
+    if xp is scalars:
+        # as Python's numbers, like the effort curves
+        ends = track.potential[head], track.potential[tail], track.slope[head], track.slope[tail]
+        rows = zip(*(end.tolist() for end in ends), strict=True)
+        return tuple(
+            at_head if is_point else (there - here + at_head * past_head - at_tail * past_tail) * per_length
+            for there, here, at_head, at_tail in rows
+        )
 
     @no_type_check
     def mean_over_length(j: int) -> Scalar:

@@ -114,7 +114,7 @@ def blend_delay(pipeline: Float[Array, "slots *rows"], delay_s: Scalar, dt: Scal
         return pipeline[0]
     xp = namespace(pipeline, delay_s)
     # Hat functions over the ages: an interpolation without an index that a batch would have to gather.
-    age = xp.clip(delay_s / dt, 0.0, pipeline.shape[0] - 1.0)
+    age = namespace(delay_s, dt).clip(delay_s / dt, 0.0, pipeline.shape[0] - 1.0)
     weights = xp.maximum(1.0 - xp.abs(xp.arange(pipeline.shape[0], dtype=pipeline.dtype) - age), 0.0)
     return xp.sum(weights * pipeline)
 
@@ -123,6 +123,11 @@ def blend_delay(pipeline: Float[Array, "slots *rows"], delay_s: Scalar, dt: Scal
 def push_command(pipeline: Float[Array, "slots *rows"], newest: Scalar) -> Float[Array, "slots *rows"]:
     """The pipeline one period later, the oldest command gone."""
     xp = namespace(pipeline, newest)
+    if xp is np:
+        # on the host this is a tenth of the time of stacking two arrays
+        pushed = np.empty_like(pipeline)
+        pushed[0], pushed[1:] = newest, pipeline[:-1]
+        return pushed
     first = xp.expand_dims(xp.asarray(newest, dtype=pipeline.dtype), 0)
     return xp.concatenate([first, pipeline[:-1]]) if pipeline.shape[0] > 1 else first
 

@@ -8,7 +8,14 @@ import numpy as np
 
 from metropilot._typing import Array, Float, Index, Scalar
 from metropilot.physics import Command, namespace, push_command, scalars, slice_from, unless
-from metropilot.protection.predict import Forces, acceleration, fastest, stays_under
+from metropilot.protection.predict import (
+    EffortsAround,
+    Forces,
+    acceleration,
+    efforts_around,
+    fastest,
+    stays_under,
+)
 from metropilot.protection.separation import TrainAhead, brake_motion, least_gap
 from metropilot.protection.types import Memory, Protection, Rates, Verdict
 
@@ -191,8 +198,12 @@ class CommandCheck:
         first = protection.start_m + protection.spacing_m * _like(position, self.node)
         steps = protection.ahead.astype(protection.emergency.dtype) * protection.spacing_m
         self.distance_m = steps + (first - position)
-        self.worst = self._brake(protection.rates, protection.emergency, protection.pull_mps2)
-        self.usual = self._brake(protection.service_rates, protection.service, protection.usual_pull_mps2)
+        worst, usual = protection.rates, protection.service_rates
+        around = efforts_around(protection.vehicle, worst, speed_mps)
+        self.worst = self._brake(worst, protection.emergency, protection.pull_mps2, around)
+        if xp is not scalars or usual.speed_error_mps != worst.speed_error_mps:
+            around = efforts_around(protection.vehicle, usual, speed_mps)
+        self.usual = self._brake(usual, protection.service, protection.usual_pull_mps2, around)
         # The oldest command remembered has arrived; the others may still be on their way.
         self.older = -1.0 if memory.recent.shape[0] == 1 else memory.recent[:-1].max()
         self.fading = memory.acceleration_mps2 - protection.fading.acceleration_mps2
@@ -210,10 +221,11 @@ class CommandCheck:
         in_time = self._in_time(self.usual, share, margin_mps) & self._in_time(self.worst, share, margin_mps)
         return in_time & self._clear(share, margin_mps, 1.0)
 
-    def _brake(self, rates: Rates, curve: Array, pulls: Array) -> Brake:
+    def _brake(self, rates: Rates, curve: Array, pulls: Array, around: EffortsAround) -> Brake:
         pull = self.xp.maximum(pulls[self.node], pulls[self.node + 1])
         ahead = slice_from(curve, self.node, self.protection.ahead.shape[0])
-        return Brake(rates, ahead, pull, fastest(self.protection.vehicle, rates, self.speed_mps, pull))
+        forces = fastest(self.protection.vehicle, rates, self.speed_mps, pull, around)
+        return Brake(rates, ahead, pull, forces)
 
     def _in_time(self, brake: Brake, share: Scalar, margin_mps: Scalar) -> Scalar:
         acting = self.xp.maximum(acceleration(brake.forces, self.share_bound(share)), self.fading)
