@@ -163,6 +163,12 @@ def coasting_time(
         pull = davis[0] + v * (davis[1] + v * davis[2]) + (stretch.climb[k + 1] - stretch.climb[k]) / ds
         behind = (SEGMENTS - 1 - k) * ds
         after = e - pull * ds
+        if xp is scalars and not after >= end + brake_mps2 * behind:
+            # one state on the host computes no branch that does not count
+            e = xp.maximum(xp.minimum(after, stretch.cap[k + 1]), least)
+            faster = xp.sqrt(2.0 * e)
+            total, v = total + 2.0 * ds / (v + faster), faster
+            continue
         s = xp.clip((end + brake_mps2 * (behind + ds) - e) / xp.maximum(brake_mps2 - pull, 0.05), 0.0, ds)
         meets = after >= end + brake_mps2 * behind
         crossing = xp.sqrt(2.0 * xp.maximum(e - pull * s, least))
@@ -170,6 +176,8 @@ def coasting_time(
         e = xp.maximum(xp.minimum(after, stretch.cap[k + 1]), least)
         faster = xp.sqrt(2.0 * e)
         total = total + xp.where(over, 0.0, xp.where(meets, braking, 2.0 * ds / (v + faster)))
+        if xp is scalars:
+            break
         over = over | meets
         v = faster
     return total
@@ -302,8 +310,8 @@ STEP_M = 4.0
 UNLIMITED_MPS2 = 1.0
 """Acceleration and deceleration in service of a trainset that declares no limit, as of most metros."""
 EFFORT_STEP_MPS = 0.25
-FADE_POINTS = 8
-"""Parts of the kinetic energy in which a brake that fades is looked at."""
+FADE_SHARES = tuple(math.sqrt(k / 8) for k in range(8, -1, -1))
+"""Speeds, over that at which braking begins, at which a brake that fades is looked at."""
 BEYOND_M = 60.0
 FOR_LIMITS = 0.85
 """Share of the largest deceleration to brake for lower limits with: protection watches the brake build up."""
@@ -380,7 +388,7 @@ class ExpertTrack(NamedTuple):
             On level track with the nominal brake, and on that slope with the actual one. A brake that fades
             spends most of its way at high speed, and there a fall takes the larger part of it.
         """
-        brakes = [self.brake(speed_mps * math.sqrt(k / FADE_POINTS)) for k in range(FADE_POINTS, -1, -1)]
+        brakes = [self.brake(speed_mps * share) for share in FADE_SHARES]
         nets = [max(gain * brake + downhill_mps2, LEAST_EFFORT_MPS2) for brake in brakes]
         return _harmonic_mean(brakes), _harmonic_mean(nets)
 
