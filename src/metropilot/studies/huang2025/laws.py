@@ -154,6 +154,8 @@ def coasting_time(
         speed_mps: Speed now.
         stretch: What lies ahead.
     """
+    # not of a symbol, from which the form in C is made: it takes both branches of every segment
+    single = xp is scalars and isinstance(speed_mps, float) and isinstance(stretch.left_m, float)
     ds = xp.maximum(stretch.left_m, 1e-3) / SEGMENTS
     least = 0.5 * SLOWEST_MPS * SLOWEST_MPS
     end = 0.5 * stretch.end_mps * stretch.end_mps
@@ -163,7 +165,7 @@ def coasting_time(
         pull = davis[0] + v * (davis[1] + v * davis[2]) + (stretch.climb[k + 1] - stretch.climb[k]) / ds
         behind = (SEGMENTS - 1 - k) * ds
         after = e - pull * ds
-        if xp is scalars and not after >= end + brake_mps2 * behind:
+        if single and not after >= end + brake_mps2 * behind:
             # one state on the host computes no branch that does not count
             e = xp.maximum(xp.minimum(after, stretch.cap[k + 1]), least)
             faster = xp.sqrt(2.0 * e)
@@ -176,7 +178,7 @@ def coasting_time(
         e = xp.maximum(xp.minimum(after, stretch.cap[k + 1]), least)
         faster = xp.sqrt(2.0 * e)
         total = total + xp.where(over, 0.0, xp.where(meets, braking, 2.0 * ds / (v + faster)))
-        if xp is scalars:
+        if single:
             break
         over = over | meets
         v = faster
