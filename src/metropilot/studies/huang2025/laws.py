@@ -155,7 +155,7 @@ def coasting_time(
         stretch: What lies ahead.
     """
     # not of a symbol, from which the form in C is made: it takes both branches of every segment
-    single = xp is scalars and isinstance(speed_mps, float) and isinstance(stretch.left_m, float)
+    single = isinstance(speed_mps, float) and isinstance(stretch.left_m, float)
     ds = xp.maximum(stretch.left_m, 1e-3) / SEGMENTS
     least = 0.5 * SLOWEST_MPS * SLOWEST_MPS
     end = 0.5 * stretch.end_mps * stretch.end_mps
