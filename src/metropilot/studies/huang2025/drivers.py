@@ -517,7 +517,10 @@ class AbstractExpertPolicyDriver(AbstractNetworkDriver):
             seen.rate_mps2,
             seen.traction_mps2,
         )
-        answer = self.network(np.stack(observed).astype(np.float32))
+        if isinstance(observed[0], float):
+            answer = self.network(np.array(observed, np.float32))
+        else:  # a symbol, from which the form in C is made
+            answer = self.network(np.stack(observed).astype(np.float32))
         return min(max(float(self._action.change(answer)), -1.0), 1.0)
 
 
