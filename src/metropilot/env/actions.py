@@ -29,11 +29,7 @@ margins below limits and at releases of the brake."""
 LATE_OVER_S = 0.5
 """Time to spare over which being late grows from none to whole."""
 FAR_S = 45.0
-"""Flat-out time to the stop from which on that says something: nearer all have little to spare, and..."""
-SURELY_LATE_S = 0.5
-"""...only one that is later than flat out by more than this is late."""
-NEAR_S = 15.0
-"""Flat-out time to the stop up to which it says nothing at all: there the station stop drives."""
+"""Flat-out time to the stop from which on that says something: nearer all drives have little to spare."""
 
 
 class AbstractAction(ABC):
@@ -127,10 +123,8 @@ def urgency(context: FeatureContext) -> Scalar:
         context: State.
     """
     xp = context.xp
-    reserve_s = xp.where(context.to_go_s > FAR_S, RESERVE_SHARE * context.to_go_s, -SURELY_LATE_S)
-    missing_s = reserve_s - (context.left_s - context.to_go_s)
-    late = xp.clip(missing_s / LATE_OVER_S, 0.0, 1.0)
-    return xp.where(context.to_go_s > NEAR_S, late, 0.0 * late)
+    missing_s = RESERVE_SHARE * context.to_go_s - (context.left_s - context.to_go_s)
+    return xp.where(context.to_go_s > FAR_S, xp.clip(missing_s / LATE_OVER_S, 0.0, 1.0), 0.0 * missing_s)
 
 
 @final
