@@ -65,6 +65,20 @@ def test_where_all_is_as_told_nothing_observed_is_acted_upon(name, ideal):
         assert began is None
 
 
+@pytest.mark.parametrize("name", ["cn_beijing_subway", "cheng2023", "dkz32"])
+def test_noise_of_the_measured_speed_does_not_move_the_stop(name):
+    trainset, line = load_trainset(name), load_line("yizhuang")
+    for origin, destination in (("RJ", "WYJ"), ("YZQ", "WHY")):
+        section = line.section(origin, destination)
+        noise = Disturbance(speed_noise_mps=0.05)
+        for seed in (3, 4):
+            run = Run(section, trainset, section.planned_time_s, noise, seed=seed)
+            done, began = driven(run, "generalist")
+            assert began is None
+            assert done.outcome is Outcome.ARRIVED
+            assert abs(done.trajectory.position_m[-1] - section.length_m) < 0.05
+
+
 @pytest.mark.parametrize(
     ("name", "load", "delay_s", "lag_s"),
     [

@@ -122,6 +122,23 @@ def test_disturbances_and_news_reach_the_plant(tasks):
     assert kpis.scheduled_s.tolist() == [110.0, 110.0, 118.0]
 
 
+def test_a_policy_sees_the_estimated_speed_where_the_measured_one_is_noisy():
+    config = task_config("drive")
+    noise = DisturbanceDistribution(time_ratio=(1.1, 1.3), speed_noise_mps=(0.05, 0.05))
+    task = DrivingTask(replace(config, scenarios=noise))
+    own = starts([0], [110.0], speed_noise_mps=[0.05])
+    state, _ = jax.vmap(task.begin)(own)
+    step, seen = jax.jit(jax.vmap(task.step)), jax.jit(jax.vmap(lambda one: task.context(one).speed_mps))
+    errors = []
+    for key in jax.random.split(jax.random.key(0), 100):
+        state, _ = step(key[None], state, jnp.full((1, 1), 0.4))
+        true = state.plant.speed_mps[0]
+        errors.append([state.run.measured_mps[0] - true, seen(state)[0] - true])
+    measured, estimated = np.sqrt(np.mean(np.square(errors), axis=0))
+    assert 0.035 < measured < 0.065
+    assert estimated < 0.01
+
+
 def test_starts_on_the_way_can_still_stop():
     config = task_config("drive")
     scenarios = DisturbanceDistribution(time_ratio=(1.1, 1.3), on_the_way=1.0)

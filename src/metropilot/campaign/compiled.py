@@ -36,6 +36,7 @@ from metropilot.campaign.program import (
     program,
 )
 from metropilot.campaign.rows import add_kpis, new_result, prepare_run
+from metropilot.control import MeasuredMotion
 from metropilot.drivers import AbstractPolicyDriver
 from metropilot.errors import Infeasible
 from metropilot.evaluate import Optimum, RunSpec, driving_limits
@@ -317,6 +318,7 @@ def _at_departure(given: EpisodeParams, slots: int, spec: PolicySpec) -> Episode
             outcome=np.full(BATCH, RUNNING, np.int32),
         ),
         policy=jax.tree.map(lambda value: np.stack([value] * BATCH), first_memory(spec)),
+        motion=MeasuredMotion(*[zero] * len(MeasuredMotion._fields)),
     )
 
 

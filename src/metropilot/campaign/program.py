@@ -14,6 +14,7 @@ from typing import NamedTuple, cast
 import numpy as np
 
 from metropilot._typing import Array
+from metropilot.control import MeasuredMotion, first_motion, fuse_motion
 from metropilot.drivers import DECISION_EARLY_S
 from metropilot.env import (
     PERMITTED_COLUMN,
@@ -100,10 +101,12 @@ class EpisodeState(NamedTuple):
     Attributes:
         run: State of the run; its outcome may be ``BROKEN``.
         policy: Memory of the policy.
+        motion: Position and speed as estimated a control period ago.
     """
 
     run: RunState
     policy: DecisionMemory
+    motion: MeasuredMotion
 
 
 class CompiledRow(NamedTuple):
@@ -197,10 +200,15 @@ def period(
         dt=kind.dt,
     )
 
-    def decide(memory: DecisionMemory, run: RunState) -> tuple[Command, tuple[DecisionMemory, Array]]:
-        measured = Measurements(
-            run.plant.time_s, run.plant.position_m, run.measured_mps, run.plant.acceleration_mps2
-        )
+    motion = before.motion
+    seen_mps = before.run.measured_mps
+    if kind.interface.assists.stop:
+        # the driver of the host has an estimator where it has the assist
+        motion = estimate_motion(before, kind.dt)
+        seen_mps = jnp.where(given.speed_noise_mps > 0.0, motion.speed_mps, seen_mps)
+    measured = Measurements(now, plant.position_m, seen_mps, plant.acceleration_mps2)
+
+    def decide(memory: DecisionMemory, _: RunState) -> tuple[Command, tuple[DecisionMemory, Array]]:
         memory, broken = decide_by_policy(
             kind, params_of_policy, seen, given.seen[told], measured, params.scheduled_s, memory
         )
@@ -215,7 +223,7 @@ def period(
     run = run._replace(
         supervision=supervision._replace(recent=recent), outcome=jnp.where(broken, BROKEN, run.outcome)
     )
-    going = hold_ended(before.run, EpisodeState(run, memory), before)
+    going = hold_ended(before.run, EpisodeState(run, memory, motion), before)
     after = run.plant
     row = CompiledRow(
         time_s=after.time_s,
@@ -250,6 +258,17 @@ class Measurements(NamedTuple):
     position_m: Array
     speed_mps: Array
     acceleration_mps2: Array
+
+
+def estimate_motion(state: EpisodeState, dt: float) -> MeasuredMotion:
+    """Position and speed as estimated from the measurements at the beginning of a control period (JAX)."""
+    import jax
+    import jax.numpy as jnp
+
+    plant = state.run.plant
+    x, v, begins = plant.position_m, state.run.measured_mps, plant.time_s <= 0.0
+    fused = fuse_motion(state.motion, x, v, plant.acceleration_mps2, dt)
+    return jax.tree.map(lambda first, later: jnp.where(begins, first, later), first_motion(x, v), fused)
 
 
 def decide_by_policy(

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 
 from metropilot._typing import Array, Bool, Flag, Float, Index, Key, Num, Scalar
+from metropilot.control import MeasuredMotion, first_motion, fuse_motion
 from metropilot.env.assists import apply_assists
 from metropilot.env.config import DrivingConfig
 from metropilot.env.features import FeatureContext, feature_context, observe
@@ -41,6 +42,7 @@ class DriveState(NamedTuple):
     Attributes:
         start: Parameters drawn for the episode.
         run: State of the run.
+        motion: Position and speed as estimated from the measurements, where they are noisy.
         command: Last command of the driver, assists included.
         stopping: True while the stop assist brakes for the station.
         decisions: Decisions taken.
@@ -52,6 +54,7 @@ class DriveState(NamedTuple):
 
     start: StartDistribution
     run: RunState
+    motion: MeasuredMotion
     command: Scalar
     stopping: Flag
     decisions: Index
@@ -94,6 +97,11 @@ class DrivingTask(AbstractTask):
         """Action space."""
         return self.config.action.space
 
+    @property
+    def noisy(self) -> bool:
+        """True if the speed is measured with noise."""
+        return self.config.scenarios.speed_noise_mps[1] > 0.0
+
     @cached_property
     def observation_size(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
         """Length of the observation."""
@@ -133,6 +141,7 @@ class DrivingTask(AbstractTask):
         state = DriveState(
             start=start,
             run=first_state(plant, watched)._replace(outcome=jnp.full((), RUNNING, jnp.int32)),
+            motion=first_motion(start.position_m, start.speed_mps),
             command=zero,
             stopping=no,
             decisions=count,
@@ -172,7 +181,7 @@ class DrivingTask(AbstractTask):
 
         def period(carry: tuple[DriveState, Scalar, Scalar], k: Index) -> tuple[Any, None]:
             now, overruled, overspeed = carry
-            noise = jax.random.fold_in(key, k) if config.scenarios.speed_noise_mps[1] > 0 else key
+            noise = jax.random.fold_in(key, k) if self.noisy else key
             reached, over, excess = self._period(noise, now, (action, wanted))
             reached = reached, overruled + over, jnp.maximum(overspeed, excess)
             return reached, None
@@ -233,7 +242,8 @@ class DrivingTask(AbstractTask):
             stop_mps2=assists.planned_mps2(self.rows, row, case.stop_mps2, plant.position_m),
             time_s=plant.time_s,
             position_m=plant.position_m,
-            speed_mps=state.run.measured_mps,
+            # as on the host, where a driver has an estimator if it has the assist
+            speed_mps=state.motion.speed_mps if self.noisy and assists.stop else state.run.measured_mps,
             acceleration_mps2=plant.acceleration_mps2,
             scheduled_s=scheduled_s(state),
             command=state.command,
@@ -259,7 +269,6 @@ class DrivingTask(AbstractTask):
         config, start, plant = self.config, state.start, state.plant
         dt, row = jnp.float32(config.dt), self.row(state)
         case, context = self.rows.case(row), self.context(state)
-        noisy = config.scenarios.speed_noise_mps[1] > 0
         scenarios = config.scenarios
         drawn = {name: getattr(start, name) for name in scenarios.mismatches}
         params = RunParams(
@@ -268,7 +277,7 @@ class DrivingTask(AbstractTask):
             protection=near_protection(self.rows, case.protection, row, plant.position_m),
             length_m=case.length_m,
             scheduled_s=scheduled_s(state),
-            speed_noise_mps=start.speed_noise_mps if noisy else 0.0,
+            speed_noise_mps=start.speed_noise_mps if self.noisy else 0.0,
             dt=dt,
         )
 
@@ -280,13 +289,18 @@ class DrivingTask(AbstractTask):
                 command = jnp.where(state.outcome == RUNNING, command, -jnp.ones_like(command))
             return Command(command, jnp.zeros((), bool)), (command, stopping)
 
-        noise = jax.random.normal(key, (), jnp.float32) if noisy else 0.0
+        noise = jax.random.normal(key, (), jnp.float32) if self.noisy else 0.0
         run, (command, stopping), record = control_period(
             params, state.run, None, decide, rule=config.outcomes, noise=noise
         )
         jerk = jnp.abs(run.plant.acceleration_mps2 - plant.acceleration_mps2)
+        motion = state.motion
+        if self.noisy:
+            measured = run.plant.position_m, run.measured_mps, run.plant.acceleration_mps2
+            motion = fuse_motion(motion, *measured, dt)
         state = state._replace(
             run=run,
+            motion=motion,
             command=command,
             stopping=stopping,
             jerk_mps2=state.jerk_mps2 + jerk,
