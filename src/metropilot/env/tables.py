@@ -69,7 +69,8 @@ class SectionTables(NamedTuple):
 STOP_STRETCH_M = 300.0
 STOP_USE = 0.95
 STOP_PASSES = 4
-LEAST_STOP_MPS2 = 0.2
+LEAST_STOP_MPS2 = 0.03
+"""Least deceleration that a stop is planned with."""
 SURE_RESISTANCE = 0.8
 """Share of the running resistance that the plan of a late stop includes."""
 PACES_MPS = (3.0, 5.0, 7.0, 9.0, 11.0, 13.0, 15.0, 17.0, 19.5, 22.5, 26.5, 32.0)
@@ -216,7 +217,7 @@ def _stop_mps2(vehicle: Vehicle, track: Track) -> float:
     pull = (vehicle.gravity_mps2 * gradient + curve) * vehicle.mass_kg / vehicle.effective_mass_kg
     means = np.cumsum(pull) / np.arange(1, at.size + 1)
     sure = min(_sure_brake(vehicle) + float(means[5:].min()), float(vehicle.max_deceleration_mps2))
-    return max(STOP_USE * sure, 0.2)
+    return max(STOP_USE * sure, LEAST_STOP_MPS2)
 
 
 def _look_ahead(protection: Protection) -> int:

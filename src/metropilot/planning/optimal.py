@@ -12,7 +12,7 @@ from numpy import ndarray
 
 from metropilot._typing import Float
 from metropilot.errors import Infeasible, InputError
-from metropilot.physics import Track, Vehicle, track_arrays, vehicle_arrays
+from metropilot.physics import Track, Vehicle, effort_at, mean_slopes, track_arrays, vehicle_arrays
 from metropilot.planning.cone_program import (
     Answer,
     Effort,
@@ -47,6 +47,8 @@ NOTHING_J = 1e3
 """Below this an energy counts as none in the certificate."""
 FINE_M = 2.0
 START_STRETCH_M = 3.0
+LEAST_HELD_MPS2 = 0.15
+"""Deceleration that the service brake must leave on a fall at the stop: with less no driver stops there."""
 RATIOS = (1.02, 1.03, 1.05, 1.075, 1.1, 1.15, 1.2, 1.25, 1.3, 1.4, 1.5, 1.6)
 
 
@@ -147,8 +149,14 @@ class Plan:
 def minimum_running_time(
     section: Section, trainset: Trainset, *, start_mps: float = 0.0, end_mps: float = 0.0
 ) -> float:
-    """Running time of the flat-out run, s: no drive under these limits is faster."""
+    """Running time of the flat-out run, s: no drive under these limits is faster.
+
+    Raises:
+        Infeasible: The service brake does not hold the trainset at the stop.
+    """
     vehicle, track = vehicle_arrays(trainset), track_arrays(section, trainset)
+    if end_mps <= 0.0:
+        _check_held(vehicle, track)
     return fastest_time(vehicle, track, PlanOptions(start_mps=start_mps, end_mps=end_mps))
 
 
@@ -200,6 +208,8 @@ def plan_arrays(
         explain_stall(mesh, energy)
     if options.late_w is None:
         _check_stop(table, mesh, options)
+        if options.end_mps <= 0.0:
+            _check_held(vehicle, track)
         time_s = _possible(vehicle, track, time_s, fastest, options)
     if about is not None:
         known = np.interp(mesh.node_m, about.position_m, 0.5 * about.speed_mps**2)
@@ -243,6 +253,26 @@ def _check_stop(table: Specific, mesh: Mesh, options: PlanOptions) -> None:
             field="start",
             value=round(options.start_mps, 3),
             unit="m/s",
+        )
+
+
+def _check_held(vehicle: Vehicle, track: Track) -> None:
+    """Refuse a stop on a fall that leaves next to nothing of the service brake.
+
+    Raises:
+        Infeasible: Less than ``LEAST_HELD_MPS2`` is left.
+    """
+    still = np.float64(0.0)
+    gradient, curve, _ = mean_slopes(vehicle, track, np.float64(track.length_m))
+    pull_n = -float(vehicle.mass_kg * (vehicle.gravity_mps2 * gradient + curve))
+    left = (float(effort_at(vehicle, still).brake_n) - pull_n) / float(vehicle.effective_mass_kg)
+    if left < LEAST_HELD_MPS2:
+        raise Infeasible(
+            "the service brake hardly holds the trainset at the stop",
+            field="section",
+            value=round(left, 3),
+            unit="m/s^2",
+            allowed=f">= {LEAST_HELD_MPS2:g} m/s^2 left on the fall",
         )
 
 

@@ -148,6 +148,7 @@ REFUSALS = (
     N_("bounds must hold the nominal value"),
     N_("section too long for protection's grid"),
     N_("the emergency brake does not hold on the steepest fall"),
+    N_("the service brake hardly holds the trainset at the stop"),
     N_("needs periods"),
     N_("a day of another line"),
     N_("begins before the period before it ends"),
