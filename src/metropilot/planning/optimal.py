@@ -48,7 +48,7 @@ NOTHING_J = 1e3
 FINE_M = 2.0
 START_STRETCH_M = 3.0
 LEAST_HELD_MPS2 = 0.15
-"""Deceleration that the service brake must leave on a fall at the stop: with less no driver stops there."""
+"""Deceleration that the service brake must leave on a fall at the stop: with less some drivers overshoot."""
 RATIOS = (1.02, 1.03, 1.05, 1.075, 1.1, 1.15, 1.2, 1.25, 1.3, 1.4, 1.5, 1.6)
 
 
