@@ -9,7 +9,7 @@ from metropilot.control import Adaptation, adapt_trainset, adapt_vehicle
 from metropilot.evaluate import kpis_of, make_driver
 from metropilot.physics import effort_at, vehicle_arrays
 from metropilot.planning import minimum_running_time
-from metropilot.railway import Actuation, Restriction, load_line, load_trainset
+from metropilot.railway import Actuation, Restriction, Steps, load_line, load_trainset
 from metropilot.sim import Disturbance, Outcome, Rollout, Run, TimetableUpdate
 
 LATE = {"delay_s": 0.6, "lag_s": 0.4, "speed_noise_mps": 0.05}
@@ -77,6 +77,28 @@ def test_noise_of_the_measured_speed_does_not_move_the_stop(name):
             assert began is None
             assert done.outcome is Outcome.ARRIVED
             assert abs(done.trajectory.position_m[-1] - section.length_m) < 0.05
+
+
+def test_a_policy_knows_how_fast_noise_lets_it_drive():
+    trainset = load_trainset("dkz32")
+    limits = Steps(np.arange(-400.0, 2400.0, 200.0), np.resize([19.4, 12.5, 18.0, 8.3], 14))
+    section = replace(load_line("yizhuang").section("TJN", "JHL"), limit_mps=limits)
+    for noise, ratio in ((0.1, 1.2), (0.2, 1.3)):
+        time_s = ratio * minimum_running_time(section, trainset)
+        run = Run(section, trainset, time_s, Disturbance(speed_noise_mps=noise), seed=3)
+        done, _ = driven(run, "generalist")
+        assert done.interventions == 0
+        assert done.running_time_s - time_s < 0.8
+
+
+@pytest.mark.parametrize(("origin", "destination", "late_s"), [("RC", "RJ", 3.6), ("YZQ", "JG", 3.2)])
+def test_one_that_even_flat_out_is_late_does_not_coast_to_the_stop(origin, destination, late_s):
+    """Coasting over the last half kilometre it was 3.98 and 3.61 s late."""
+    run = run_of(origin, destination, 1.05, mass_factor=1.2, resistance_factor=1.5, adhesion=0.08, **LATE)
+    done, _ = driven(run, "generalist")
+    assert done.interventions == 0
+    assert done.running_time_s - run.scheduled_time_s < late_s
+    assert abs(done.trajectory.position_m[-1] - run.section.length_m) < 0.1
 
 
 @pytest.mark.parametrize(

@@ -191,12 +191,13 @@ class LearnedDriver(AbstractDriver):
         stopping, share = mismatch.station_stop_braking(monitor, ahead, planned, bool(memory.stopping))
         if stopping:
             command = as_double(share)
-        elif (
-            context.left_s < mismatch.NEAR_STOP * context.to_go_s
-            and 0.0 < context.braked_coasting_s[0] - context.left_s < mismatch.LATE_S
-        ):
-            # far from the stop coasting may arrive late and be right: a fall is still to come
-            command = np.maximum(command, context.effort_limits.command_for(0.0))
+        elif context.left_s < mismatch.NEAR_STOP * context.to_go_s:
+            late_s = context.to_go_s - context.left_s
+            if late_s > mismatch.SURELY_LATE_S and context.to_go_s > mismatch.STOPS_S:
+                command = np.maximum(command, 1.0)
+            elif 0.0 < context.braked_coasting_s[0] - context.left_s < mismatch.LATE_S:
+                # far from the stop coasting may arrive late and be right: a fall is still to come
+                command = np.maximum(command, context.effort_limits.command_for(0.0))
         if assists.ceiling:
             near = replace(assists, margin_mps=mismatch.MARGIN_MPS)
             most = float(ceiling_mps2(near, context, dt))

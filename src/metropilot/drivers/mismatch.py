@@ -79,6 +79,10 @@ LATE_S = 3.0
 """A trainset that would arrive later by less than this if it coasted holds its speed..."""
 NEAR_STOP = 1.25
 """...where no more than this share of the time to go is left."""
+SURELY_LATE_S = 0.5
+"""One that even flat out would be later by more than this drives flat out..."""
+STOPS_S = 15.0
+"""...until the station stop is so near, flat out."""
 MARGIN_MPS = 0.05
 """Distance of the ceiling below the permitted speed, besides the error of a measurement."""
 

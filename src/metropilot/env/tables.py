@@ -71,6 +71,8 @@ STOP_USE = 0.95
 STOP_PASSES = 4
 LEAST_STOP_MPS2 = 0.03
 """Least deceleration that a stop is planned with."""
+LEAST_DRIVEN = 0.5
+"""Least speed that errors of measurement leave, as a share of the permitted one."""
 SURE_RESISTANCE = 0.8
 """Share of the running resistance that the plan of a late stop includes."""
 PACES_MPS = (3.0, 5.0, 7.0, 9.0, 11.0, 13.0, 15.0, 17.0, 19.5, 22.5, 26.5, 32.0)
@@ -98,7 +100,9 @@ def build_tables(
     """
     masses = [trainset.mass_kg for _, trainset, _ in cases]
     rows = _rows(cases, spacing_m, jobs)
-    vehicles, tracks, protections, node_curves, tables, lengths, stops, braking = zip(*rows, strict=True)
+    vehicles, tracks, protections, node_curves, tables, least, lengths, stops, braking = zip(
+        *rows, strict=True
+    )
     nodes = max(node_curves.shape[0] for node_curves in node_curves)
     ahead = np.arange(max(_look_ahead(protection) for protection in protections), dtype=np.int32)
     small = [p._replace(**dict.fromkeys(PROTECTION_CURVES, 0.0)) for p in protections]
@@ -109,7 +113,7 @@ def build_tables(
         protection=stacked,
         node_curves=np.stack([_pad(node_curves, nodes + ahead.size + 2) for node_curves in node_curves]),
         to_go=np.stack([np.pad(t, ((0, 0), (0, _widest(tables) - t.shape[1])), mode="edge") for t in tables]),
-        minimum_s=np.array([t[-1, 0] for t in tables]),
+        minimum_s=np.array(least),
         length_m=np.array(lengths),
         load=np.array(masses) / np.mean(masses),
         stop_mps2=np.array(stops),
@@ -146,15 +150,30 @@ def _case(section: Section, trainset: Trainset, bounds: Bounds, spacing_m: float
     weight = (vehicle.gravity_mps2 * gradient + curve) * spacing_m
     climb = np.concatenate([[0.0], np.cumsum(0.5 * (weight[1:] + weight[:-1]))])
     node_curves = np.stack([*(getattr(protection, name)[:used] for name in PROTECTION_CURVES), climb], axis=1)
-    table = tabulate_time_to_go(vehicle, track).time_s
+    driven_track = _driven_track(track, bounds)
+    table = tabulate_time_to_go(vehicle, driven_track).time_s
+    minimum_s = table[-1, 0] if driven_track is track else tabulate_time_to_go(vehicle, track).time_s[-1, 0]
     pull = weight / spacing_m * float(vehicle.mass_kg) / float(vehicle.effective_mass_kg)
     work = _stop_work(vehicle, at, pull, section.length_m)
     follow = _follow_mps(vehicle, at, pull, protection.permitted_mps[:used])
+    driven = np.maximum(follow - bounds.speed_error_mps, LEAST_DRIVEN * follow)
     braking_curves = np.stack(
-        [work, follow, *_pace_times(at, np.minimum(follow, _stop_speed(work)), section.length_m)], axis=1
+        [work, follow, *_pace_times(at, np.minimum(driven, _stop_speed(work)), section.length_m)], axis=1
     )
     stop_mps2 = _stop_mps2(vehicle, track)
-    return vehicle, track, protection, node_curves, table, section.length_m, stop_mps2, braking_curves
+    lengths = minimum_s, section.length_m
+    return vehicle, track, protection, node_curves, table, *lengths, stop_mps2, braking_curves
+
+
+def _driven_track(track: Track, bounds: Bounds) -> Track:
+    """The track with the limits that can be driven where the speed is measured with an error.
+
+    Protection permits less by the largest error, and a measurement may be too high by as much again.
+    """
+    if bounds.speed_error_mps <= 0.0:
+        return track
+    most = track.limit_mps
+    return track._replace(limit_mps=np.maximum(most - 2.0 * bounds.speed_error_mps, LEAST_DRIVEN * most))
 
 
 def _follow_mps(vehicle: Vehicle, at: np.ndarray, pull: np.ndarray, permitted: np.ndarray) -> np.ndarray:
