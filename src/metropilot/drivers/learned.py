@@ -259,7 +259,7 @@ class LearnedDriver(AbstractDriver):
         time, x, v, a = observation[:4]
         scheduled = observation.scheduled_time_s
         if monitor is None or ahead is None:
-            if monitor is not None and declared_bounds(memory.run).speed_error_mps > 0.0:
+            if monitor is not None and memory.run.disturbance.speed_noise_mps > 0.0:
                 v = monitor.estimate.speed_mps
             stop_mps2 = assists.planned_mps2(memory.rows, 0, case.stop_mps2, float(x))
         else:
