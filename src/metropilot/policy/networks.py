@@ -138,7 +138,8 @@ def normalise(
     if "observation.mean" not in params:
         return observation
     centred = (observation - params["observation.mean"]) * params["observation.scale"]
-    return xp.clip(centred, -NORMALISED_RANGE, NORMALISED_RANGE)
+    # a third of the time of ``clip`` on the host
+    return xp.minimum(xp.maximum(centred, -NORMALISED_RANGE), NORMALISED_RANGE)
 
 
 def network_output(
@@ -249,7 +250,7 @@ def choose_action(
             output = xp.where(mask | ~mask.any(), output, -1e9)
         return xp.argmax(output)
     output = output[: spec.actions]
-    return xp.tanh(output) if spec.output == "tanh" else xp.clip(output, -1.0, 1.0)
+    return xp.tanh(output) if spec.output == "tanh" else xp.minimum(xp.maximum(output, -1.0), 1.0)
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ import numpy as np
 from numpy import ndarray
 
 from metropilot._typing import Array, Flag, Float, Scalar
-from metropilot.physics import Effort, Vehicle, davis_n, effort_at, namespace, scalars
+from metropilot.physics import Effort, Vehicle, davis_n, effort_at, namespace
 from metropilot.protection.types import Rates
 
 HALVINGS = 13
@@ -84,6 +84,25 @@ def acceleration(forces: Forces, share: Scalar) -> Scalar:
 
 
 @no_type_check
+def reaction_way(
+    rates: Rates, speed_mps: Scalar, acceleration_mps2: Scalar, pull_mps2: Scalar
+) -> tuple[Scalar, Scalar, Scalar, Scalar]:
+    """What a brake decided one period from now takes until it acts in full; see :func:`stays_under`.
+
+    Returns:
+        Acceleration during the reaction, m/s^2; highest speed, m/s; and the distances over which the brake
+        begins to act and acts in full, m.
+    """
+    xp = namespace(speed_mps, acceleration_mps2, pull_mps2)
+    jerk, rate = rates.jerk_mps3, rates.brake_mps2 - pull_mps2
+    steady = xp.maximum(acceleration_mps2, -rate)
+    rise = xp.maximum(steady, 0.0)
+    peak = xp.maximum(speed_mps + rise * rates.reaction_s + 0.5 * rise * rise / jerk, 1e-6)
+    begins = peak * rates.reaction_s
+    return steady, peak, begins, begins + peak * (steady + rate) / jerk
+
+
+@no_type_check
 def stays_under(
     rates: Rates,
     curve: Float[Array, "*nodes ahead"],
@@ -111,16 +130,9 @@ def stays_under(
         acceleration_mps2: Upper bound on the acceleration during the reaction.
         pull_mps2: Largest pull of the gradient over the distance.
     """
-    # a single number at a time is ten times as fast as NumPy's
-    xp, one = namespace(curve, speed_mps), namespace(speed_mps, acceleration_mps2, pull_mps2)
+    xp = namespace(curve, speed_mps)
     jerk, rate = rates.jerk_mps3, rates.brake_mps2 - pull_mps2
-    steady = one.maximum(acceleration_mps2, -rate)
-    rise = one.maximum(steady, 0.0)
-    peak = one.maximum(speed_mps + rise * rates.reaction_s + 0.5 * rise * rise / jerk, 1e-6)
-    begins = peak * rates.reaction_s
-    full = begins + peak * (steady + rate) / jerk
-    if xp is np and one is scalars and full <= distance_m[-1] and 0.5 * peak * peak <= curve.min():
-        return True  # every node is level, as most of the way; the rest takes ten times as long
+    steady, peak, begins, full = reaction_way(rates, speed_mps, acceleration_mps2, pull_mps2)
     built = xp.clip(distance_m - begins, 0.0, full - begins)
     beyond = xp.maximum(distance_m - full, 0.0)
     slope = steady - jerk / peak * built

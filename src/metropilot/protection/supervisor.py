@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -14,6 +15,7 @@ from metropilot.protection.predict import (
     acceleration,
     efforts_around,
     fastest,
+    reaction_way,
     stays_under,
 )
 from metropilot.protection.separation import TrainAhead, brake_motion, least_gap
@@ -157,7 +159,7 @@ def _far_below(
 ) -> bool:
     """Tell cheaply if a speed is so far below both curves that no command on its way can reach them."""
     usual, worst, pull = protection.service_rates, protection.rates, protection.pull_mps2
-    (first, _), (last, _) = (on_grid(protection, np.float64(each)) for each in position_m[[0, -1]])
+    (first, _), (last, _) = on_grid(protection, position_m[0]), on_grid(protection, position_m[-1])
     ahead = slice(first, last + protection.ahead.size)
     rise = max(float(memory.acceleration_mps2 + pull[first : last + 2].max() - pull[first]), 0.0)
     reaction_s = max(float(usual.reaction_s), float(worst.reaction_s))
@@ -195,9 +197,7 @@ class CommandCheck:
         self.measured = known & moving
         self.ahead, self.position_m = ahead, position
         self.node, self.way = on_grid(protection, position)
-        first = protection.start_m + protection.spacing_m * _like(position, self.node)
-        steps = protection.ahead.astype(protection.emergency.dtype) * protection.spacing_m
-        self.distance_m = steps + (first - position)
+        self.first_m = protection.start_m + protection.spacing_m * _like(position, self.node) - position
         worst, usual = protection.rates, protection.service_rates
         around = efforts_around(protection.vehicle, worst, speed_mps)
         self.worst = self._brake(worst, protection.emergency, protection.pull_mps2, around)
@@ -207,6 +207,12 @@ class CommandCheck:
         # The oldest command remembered has arrived; the others may still be on their way.
         self.older = -1.0 if memory.recent.shape[0] == 1 else memory.recent[:-1].max()
         self.fading = memory.acceleration_mps2 - protection.fading.acceleration_mps2
+
+    @cached_property
+    def distance_m(self) -> Array:
+        """Distance to the nodes ahead, the first at hand or just behind."""
+        steps = self.protection.ahead.astype(self.protection.emergency.dtype) * self.protection.spacing_m
+        return steps + self.first_m
 
     def energy(self, curve: Float[Array, " nodes"]) -> Scalar:
         """A curve at this position, m^2/s^2."""
@@ -230,9 +236,14 @@ class CommandCheck:
     def _in_time(self, brake: Brake, share: Scalar, margin_mps: Scalar) -> Scalar:
         acting = self.xp.maximum(acceleration(brake.forces, self.share_bound(share)), self.fading)
         speed = self.speed_mps + brake.rates.speed_error_mps + margin_mps
-        return self.measured & stays_under(
-            brake.rates, brake.curve, self.distance_m, speed, acting, brake.pull_mps2
-        )
+        moving = speed, acting, brake.pull_mps2
+        if self.xp is scalars:
+            _, peak, _, full = reaction_way(brake.rates, *moving)
+            last_m = float(self.protection.ahead[-1]) * self.protection.spacing_m + self.first_m
+            if full <= last_m and 0.5 * peak * peak <= brake.curve.min():
+                # every node is level, as most of the way; the rest takes ten times as long
+                return self.measured
+        return self.measured & stays_under(brake.rates, brake.curve, self.distance_m, *moving)
 
     def _clear(self, share: Scalar, margin_mps: Scalar, rooms: float) -> Scalar:
         """True if the emergency brake decided one period from now keeps clear of the trainset ahead.
