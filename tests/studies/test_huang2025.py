@@ -22,6 +22,7 @@ from metropilot.studies.huang2025.setting import (
     EQUAL_EITOE,
     IE,
     LEARNED,
+    RELATIVE,
     comfortable,
     run_of,
     trainset,
@@ -70,7 +71,7 @@ def test_rows_of_a_drive():
     # a plan that knows the actuation needs more
     assert 0.0 < rows[ABOVE_ATTAINABLE].ours < rows[ABOVE].ours < 5.0
     words = remarks([*rows.values()], budget="quick")
-    assert "380" in words[2]
+    assert any("EITOE drives case 1 with 380" in line for line in words)
     assert all(np.isfinite(row.ours) for row in rows.values())
 
 
@@ -81,6 +82,20 @@ def test_what_learning_could_gain_at_most_is_what_the_expert_leaves():
     words = remarks(rows, budget="quick")[0]
     assert "+1.5 % (RJ to WYJ, 101 s); less in 0 of 1 cases" in words
     assert "More than 1.4 % in the mean" in words
+
+
+def test_the_order_of_the_drivers_is_told_beside_the_published_one():
+    name = BY_ID["101"].name
+    energies = {"itor": 400.0, "manual": 390.0, "ston": 380.2, "stod": 380.1, "eitoe": 360.0, "eitop": 350.0}
+    relative = {"itor": 1.7, "ston": -11.7, "eitoe": -34.9, "eitop": -37.7}
+    rows = [ReportRow("", name, driver, IE, "").with_values([value]) for driver, value in energies.items()]
+    rows += [
+        ReportRow("", name, driver, RELATIVE, "%", published=value) for driver, value in relative.items()
+    ]
+    words = "`ston` 380.2, about as `stod` 380.1, over `eitoe` 360.0, over `eitop` 350.0 J/kg: the same."
+    assert any(words in line for line in remarks(rows, budget="quick"))
+    rows[0] = ReportRow("", name, "itor", IE, "").with_values([385.0])
+    assert any("J/kg: another." in line for line in remarks(rows, budget="quick"))
 
 
 @pytest.mark.parametrize(("case", "kpi", "wanted"), [("95", ABOVE_ATTAINABLE, 2.0), ("later", LEFT, 5.0)])

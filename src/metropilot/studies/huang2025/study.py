@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from functools import partial
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -36,10 +37,13 @@ from metropilot.studies.huang2025.setting import (
     EXPERTS,
     IC,
     IE,
+    ITOR,
     LEARNED,
     LEARNED_IE,
     MANUAL,
     RELATIVE,
+    STOD,
+    STON,
     TABLE3,
     TABLE4,
     TOOK,
@@ -192,6 +196,36 @@ def _against_expert(rows: Sequence[ReportRow]) -> str:
     )
 
 
+ORDERED = (MANUAL, ITOR, STON, STOD, EITOE, EITOP)
+ALIKE_PERCENT = 1.0
+"""Medians nearer than this are no order."""
+
+
+def _order(rows: Sequence[ReportRow], case: str) -> str:
+    """Finding on the order of the drivers by energy, published and ours."""
+    ours, published = {}, {MANUAL: 0.0}
+    for driver in ORDERED:
+        energy, relative = (_value(rows, case, driver, kpi) for kpi in (IE, RELATIVE))
+        if energy is not None and energy.ours is not None:
+            ours[driver] = energy.ours
+        if relative is not None and relative.published is not None:
+            published[driver] = relative.published
+    if len(ours) < len(ORDERED):
+        return "The order of the drivers by energy was not compared."
+    told = sorted(published, key=published.__getitem__, reverse=True)
+    found = sorted(ours, key=ours.__getitem__, reverse=True)
+    words = [f"`{found[0]}` {ours[found[0]]:.1f}"]
+    for before, driver in pairwise(found):
+        alike = 100.0 * (ours[before] / ours[driver] - 1.0) < ALIKE_PERCENT
+        words.append(f"{'about as' if alike else 'over'} `{driver}` {ours[driver]:.1f}")
+    same = [driver for driver in found if driver in published] == told
+    return (
+        f"Order by Ie in {BY_ID[case].name}: published {' over '.join(f'`{d}`' for d in told)}; ours "
+        f"{', '.join(words)} J/kg: {'the same' if same else 'another'}. Alike is what differs by less than "
+        f"{ALIKE_PERCENT:g} %."
+    )
+
+
 def remarks(rows: Sequence[ReportRow], *, budget: str) -> list[str]:
     """Findings as sentences made from the rows.
 
@@ -207,6 +241,7 @@ def remarks(rows: Sequence[ReportRow], *, budget: str) -> list[str]:
     found = [
         _against_expert(rows),
         _missed_indices(rows),
+        _order(rows, "101"),
         (
             f"EITOE drives case 1 with {ie} J/kg and {peak} m/s at most (published 380 and 19.49) and "
             f"coasts {coast} m (published 899.78)."
