@@ -167,8 +167,13 @@ def test_look_along_predicts_the_path_of_the_commands_on_their_way():
         assert place == pytest.approx(float(state.position_m), abs=0.02)
         assert speed == pytest.approx(float(state.speed_mps), abs=0.01)
         state = step(model.vehicle, model.track, state, Command(np.float64(-1.0), False), DT)
-    at_once = at_start(protect(section, load_trainset("dkz32"), Bounds.of(load_trainset("dkz32"), DT)))
-    assert look_along(model, estimate, at_once) is None
+    at_once = load_trainset("dkz32")
+    memory = at_start(protect(section, at_once, Bounds.of(at_once, DT)))
+    assert look_along(model, estimate, memory)(-1.0).shape == (2, 1)
+    abrupt = at_once.ideal()
+    assert (
+        look_along(Model(vehicle_arrays(abrupt), track_arrays(section, abrupt), DT), estimate, memory) is None
+    )
 
 
 def test_share_for_gives_the_acceleration_asked_for():

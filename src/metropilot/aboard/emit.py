@@ -398,6 +398,10 @@ class _Emitter:
             index = ["0"] * len(node.shape)
             if node.op in ELEMENTWISE:
                 self.lines += wrap(f"{indent}const {kind} {name} = {self.value(node, index)};", indent)
+            elif node.op in {"concatenate", "stack"}:
+                (part,) = (arg for arg in node.args if arg.size)
+                value = self.at(part, ["0"] * len(part.shape))
+                self.lines += wrap(f"{indent}const {kind} {name} = {value};", indent)
             else:
                 self.lines.append(f"{indent}{kind} {name};")
                 self.lines += self.loop(node, lambda _: name, indent)
@@ -825,6 +829,8 @@ def _shared_function(function: Graph, tables: Tables) -> tuple[str, dict[str, in
         outputs = [f"*{name}" for name in results]
         emitter = _plan_arrays(function, given, outputs, tables)
         body = emitter.body("    ")
+        read = set(re.findall(r"\ba\d+\b", " ".join(body)))
+        body = [*(f"    (void){name};" for name in given if name not in read), *body]
         sizes = {kind: arena.size for kind, arena in sorted(emitter.arenas.items())}
         name = f"f{len(tables.functions)}"
         words = [f"{TYPES[each.dtype.name]} {k}" for k, each in zip(given, function.inputs, strict=True)]

@@ -20,7 +20,7 @@ import numpy as np
 
 from metropilot._schema import field_specs
 from metropilot.campaign.matrix import DRIVES, AbstractCampaign, CellRow, content_key, count_axes
-from metropilot.drivers import DRIVERS, AbstractPolicyDriver
+from metropilot.drivers import DRIVERS, AbstractPolicyDriver, builds_up_slowly
 from metropilot.evaluate import RunSpec, parse_driver
 from metropilot.planning import Objective
 from metropilot.protection import Bounds, guarantees_less
@@ -416,7 +416,8 @@ def case_request(campaign: Campaign, case: CampaignCase, scheduled_s: float, len
 
 @cache
 def _declares(trainset: str, load: str) -> tuple[bool, bool]:
-    """True if a trainset declares a dead time or a lag; true if a brake weaker than its service brake."""
+    """True if a trainset brakes late, by what it declares; true if with less than its service brake."""
     declared = load_trainset(trainset, load)
     late = declared.actuation.delay_s > 0.0 or declared.actuation.lag_s > 0.0
+    late = late or builds_up_slowly(declared)
     return late, guarantees_less(declared, Bounds.of(declared, CONTROL_PERIOD_S))

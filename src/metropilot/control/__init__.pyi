@@ -60,8 +60,10 @@ from .stopping import comfortable_deceleration as comfortable_deceleration
 from .stopping import curve_for as curve_for
 from .stopping import draws_up as draws_up
 from .stopping import mean_braking_efforts as mean_braking_efforts
+from .stopping import motion_if_braked_later as motion_if_braked_later
 from .stopping import release as release
 from .stopping import required_deceleration as required_deceleration
+from .stopping import required_later as required_later
 from .stopping import required_with_build_up as required_with_build_up
 from .stopping import settle as settle
 from .stopping import stand as stand

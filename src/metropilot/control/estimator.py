@@ -545,7 +545,7 @@ def look_along(
         act at once.
     """
     periods = supervision.recent.size
-    if periods == 1:
+    if periods == 1 and not np.isfinite(model.vehicle.jerk_mps3):
         return None
     age, keep, motion = _motion(estimate)
     up, down, drag = estimate.bank.parameters[:3, estimate.best].tolist()

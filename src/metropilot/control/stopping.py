@@ -512,10 +512,61 @@ def stop_command(
     demand = stop_deceleration(v, ahead.acceleration_mps2, distance, curve, model.dt, options)
     required = later = float(demand.required_mps2)
     if _comes_near(required, curve, ahead):
-        a = ahead.acceleration_mps2
-        waits_m = way_in_period(v, min(-a, 0.0), model.dt)
-        later = float(required_with_build_up(v, a, distance - waits_m, curve, 0.0, options)[0])
+        later = required_later(ahead, distance, curve, model.dt, options)
     return Stop(ahead.share_for(-demand.wanted_mps2), required, later, ahead, distance)
+
+
+@no_type_check
+def motion_if_braked_later(
+    speed_mps: Scalar,
+    acceleration_mps2: Scalar,
+    most_mps2: Scalar,
+    curve: StopCurve,
+    dt: Scalar,
+    options: StopOptions,
+) -> tuple[Scalar, Scalar, Scalar]:
+    """Let a period pass before a stop: traction goes on, and builds up at the jerk limit.
+
+    Args:
+        speed_mps: Speed.
+        acceleration_mps2: Acceleration that acts now; a small one is that of a fall, which does not grow.
+        most_mps2: Acceleration of full traction.
+        curve: Shape of the stop.
+        dt: Control period, s.
+        options: Constants of the stop.
+
+    Returns:
+        Speed, m/s, and acceleration, m/s^2, at the end of the period, and the way in it, m.
+    """
+    xp = namespace(speed_mps, acceleration_mps2)
+    a, jerk = xp.maximum(acceleration_mps2, 0.0), curve.build_jerk_mps3 / options.build_share
+    rise = xp.minimum(jerk, AT_ONCE_MPS3) * dt
+    grown = xp.maximum(a, xp.minimum(a + rise, most_mps2))
+    a = xp.where((jerk < AT_ONCE_MPS3) & (a > 0.5 * rise), grown, a)
+    then = xp.where(acceleration_mps2 > 0.0, a, acceleration_mps2)
+    return speed_mps + a * dt, then, (speed_mps + 0.5 * a * dt) * dt
+
+
+def required_later(
+    ahead: PredictedState,
+    distance_m: float,
+    curve: StopCurve,
+    dt: float,
+    options: StopOptions = STOP_OPTIONS,
+) -> float:
+    """:func:`required_with_build_up` if braking waits another period (see :func:`motion_if_braked_later`).
+
+    Args:
+        ahead: State when a command given now begins to act.
+        distance_m: Distance to the target from there.
+        curve: Shape of the stop.
+        dt: Control period, s.
+        options: Constants of the stop.
+    """
+    moving = ahead.speed_mps, ahead.acceleration_mps2
+    most = ahead.traction_mps2 - ahead.resistance_mps2 - ahead.gradient_mps2
+    speed, acceleration, way_m = motion_if_braked_later(*moving, most, curve, dt, options)
+    return float(required_with_build_up(speed, acceleration, distance_m - way_m, curve, 0.0, options)[0])
 
 
 def _comes_near(required_mps2: float, curve: StopCurve, ahead: PredictedState) -> bool:

@@ -2,6 +2,7 @@ from .flat_out import FlatOut as FlatOut
 from .learned import DECISION_EARLY_S as DECISION_EARLY_S
 from .learned import LearnedDriver as LearnedDriver
 from .learned import PolicyFunction as PolicyFunction
+from .mismatch import builds_up_slowly as builds_up_slowly
 from .network import AbstractNetworkDriver as AbstractNetworkDriver
 from .network import FeatureSpan as FeatureSpan
 from .network import NetworkView as NetworkView

@@ -4,11 +4,11 @@ A policy and its assists see the nominal plant and the current state. Under plan
 acts late, a heavier trainset, a stronger resistance) their station-stop braking begins too late and their
 ceiling is too high. The estimator of every run is that of :mod:`metropilot.control.estimator`. As
 long as protection's bounds hold neither dead time nor lag, nor a brake guaranteed weaker than the service
-brake, and the estimator finds nothing, nothing of it is
-acted upon, and the drive is the policy's own to the last bit. With a dead time or lag, in the bounds or
-found, or efforts that are off by more than ``LEAST`` and by more than doubt allows, the policy sees the state
-in which its command begins to act and the estimated plant, the station-stop braking follows the law
-of :mod:`metropilot.control.stopping`, and the ceiling is that of :mod:`metropilot.control.ceiling`.
+brake, the jerk limit is no lower than ``SLOW_MPS3``, and the estimator finds nothing, nothing of it is
+acted upon, and the drive is the policy's own to the last bit. With a low jerk limit, a dead time or lag, in
+the bounds or found, or efforts that are off by more than ``LEAST`` and by more than doubt allows, the policy
+sees the state in which its command begins to act and the estimated plant, the station-stop braking follows
+the law of :mod:`metropilot.control.stopping`, and the ceiling is that of :mod:`metropilot.control.ceiling`.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ from metropilot.control import (
     weighs_load,
 )
 from metropilot.protection import Bounds, Memory, at_start, guarantees_less
-from metropilot.railway import Section
+from metropilot.railway import Section, Trainset
 from metropilot.sim import Observation, Run, declared_bounds
 
 LEAST = 0.04
@@ -83,6 +83,8 @@ SURELY_LATE_S = 0.5
 """One that even flat out would be later by more than this drives flat out..."""
 STOPS_S = 15.0
 """...until the station stop is so near, flat out."""
+SLOW_MPS3 = 0.8
+"""Jerk limit under which a brake has to be asked for earlier than a policy learned to."""
 MARGIN_MPS = 0.05
 """Distance of the ceiling below the permitted speed, besides the error of a measurement."""
 
@@ -170,8 +172,13 @@ def record_decision(monitor: PlantMonitor, share: float) -> PlantMonitor:
 
 def declares_departure(run: Run) -> bool:
     """Tell if protection's bounds say before departure that a policy must not drive as it learned to."""
-    declared = declared_bounds(run)
-    return answers_late(declared) or guarantees_less(run.disturbance.nominal(run.trainset), declared)
+    declared, trainset = declared_bounds(run), run.disturbance.nominal(run.trainset)
+    return builds_up_slowly(trainset) or answers_late(declared) or guarantees_less(trainset, declared)
+
+
+def builds_up_slowly(trainset: Trainset) -> bool:
+    """Tell if a brake builds up more slowly than a policy learned to reckon with."""
+    return trainset.actuation.jerk_limit_mps3 < SLOW_MPS3
 
 
 def answers_late(declared: Bounds) -> bool:

@@ -22,6 +22,7 @@ from metropilot.control import (
     build_up,
     closing_acceleration,
     curve_for,
+    motion_if_braked_later,
     stop_deceleration,
 )
 from metropilot.env.features import FeatureContext
@@ -214,9 +215,11 @@ def stop_mps2(
     v, a, s = context.speed_mps, context.acceleration_mps2, context.length_m - context.position_m
     planned = context.stop_mps2
     curve = curve_for(vehicle, dt, planned, options)
-    quick, gone, _ = build_up(v, a, planned, curve.build_jerk_mps3)
-    reach = gone + braking_distance(quick, curve)
-    begins = s <= reach + xp.maximum(v + 0.5 * xp.maximum(a, 0.0) * dt, 0.0) * dt
+    limits = context.effort_limits
+    most = limits.traction_mps2 - limits.drag_mps2
+    then, grown, way_m = motion_if_braked_later(v, a, most, curve, dt, options)
+    quick, gone, _ = build_up(then, grown, planned, curve.build_jerk_mps3)
+    begins = s <= gone + braking_distance(quick, curve) + xp.maximum(way_m, 0.0)
     if xp is scalars and not (stopping or begins):
         # one state on the host, far from the stop: nothing of the rest would be used
         return False, 0.0

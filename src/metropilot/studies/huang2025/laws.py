@@ -46,11 +46,11 @@ from metropilot.control import (
     draws_up,
     predict_motion,
     predict_path,
+    required_later,
     required_with_build_up,
     settle,
     stop_deceleration,
     strongest,
-    way_in_period,
 )
 from metropilot.physics import effort_at, least_between, mean_slopes, scalars
 from metropilot.planning import (
@@ -790,7 +790,7 @@ def stop_share(
     if not hoa.braking:
         early_m = v * (0.5 * actuation.lag_s + 0.25 * dt)
         sooner, _ = required_with_build_up(v, a, distance - early_m, curve)
-        later, _ = required_with_build_up(v, a, distance - way_in_period(v, -max(a, 0.0), dt), curve)
+        later = required_later(ahead, distance, curve, dt)
         # a crawling trainset stands before the jerk limit lets it brake as planned
         begins = min(plan, CRAWL_SHARE * strongest(v, curve, dt))
         if sooner < begins and later <= begins / USE:
