@@ -87,7 +87,7 @@ def acceleration(forces: Forces, share: Scalar) -> Scalar:
 def reaction_way(
     rates: Rates, speed_mps: Scalar, acceleration_mps2: Scalar, pull_mps2: Scalar
 ) -> tuple[Scalar, Scalar, Scalar, Scalar]:
-    """What a brake decided one period from now takes until it acts in full; see :func:`stays_under`.
+    """Motion and ways until a brake decided one period from now acts in full; see :func:`stays_under`.
 
     Returns:
         Acceleration during the reaction, m/s^2; highest speed, m/s; and the distances over which the brake
