@@ -69,18 +69,6 @@ def test_flat_out_slows_for_a_restriction_announced_on_the_way(dkz32):
     assert 9.0 < done.trajectory.speed_mps[inside].max() <= 10.0
 
 
-@pytest.mark.parametrize("permil", [-4.0, -8.0])
-def test_a_human_who_brakes_late_has_brake_left_on_a_fall(permil):
-    known = section("RC-RJ")
-    fall = Steps(np.array([-500.0, known.length_m - 200.0]), np.array([0.0, permil]))
-    slow = replace(known, gradient_permil=fall, limit_mps=Steps(np.array([-500.0]), np.array([4.0])))
-    trainset = load_trainset("de_traxx_ic2")
-    run = Run(slow, trainset, 1.4 * minimum_running_time(slow, trainset), seed=2, dt=0.5)
-    done, error = driven("manual", run)
-    assert done.outcome is Outcome.ARRIVED
-    assert abs(error) < 0.3
-
-
 @pytest.mark.parametrize(
     ("name", "where", "late", "dt"),
     [

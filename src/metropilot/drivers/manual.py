@@ -19,6 +19,7 @@ from typing import NamedTuple, final
 import numpy as np
 
 from metropilot.control import (
+    SERVICE_USE,
     Ceiling,
     Forecast,
     Model,
@@ -52,8 +53,6 @@ HOLD_NOTCH = 0.5
 GENTLE_BRAKE = 0.15
 LOOK_AGAIN_S = 3.0
 RESERVE_S = 0.3
-HUMAN_USE = 0.8
-"""Share of what a weak brake gives that a human plans a stop with."""
 HUMAN_MARGIN_MPS = 0.7
 LATE_S = 1.0
 LEAST_MPS2 = 0.1
@@ -188,7 +187,7 @@ def _at_hand_mps2(model: Model) -> float:
     speeds = np.linspace(0.0, float(vehicle.max_speed_mps), 9)
     brake = min(float(effort_at(vehicle, v).brake_n) for v in speeds) / float(vehicle.effective_mass_kg)
     gradient = min(weakest_gradient(model, float(model.track.length_m)), 0.0)
-    return max(min(HUMAN_USE * (brake + gradient), float(vehicle.max_deceleration_mps2)), LEAST_MPS2)
+    return max(min(SERVICE_USE * (brake + gradient), float(vehicle.max_deceleration_mps2)), LEAST_MPS2)
 
 
 def _overhead_s(model: Model, habits: Habits, *, standing: bool) -> float:
