@@ -418,6 +418,6 @@ def case_request(campaign: Campaign, case: CampaignCase, scheduled_s: float, len
 def _declares(trainset: str, load: str) -> tuple[bool, bool]:
     """True if a trainset brakes late, by what it declares; true if with less than its service brake."""
     declared = load_trainset(trainset, load)
-    late = declared.actuation.delay_s > 0.0 or declared.actuation.lag_s > 0.0
-    late = late or builds_up_slowly(declared)
+    actuation = declared.actuation
+    late = actuation.delay_s > 0.0 or actuation.lag_s > 0.0 or builds_up_slowly(declared)
     return late, guarantees_less(declared, Bounds.of(declared, CONTROL_PERIOD_S))

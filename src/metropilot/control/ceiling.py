@@ -195,7 +195,7 @@ def largest_admissible_command(
         speed_mps: Measured speed.
         share: Wanted command in [-1, 1].
         look: Position and speed at the end of each period in which a command may still be on its way
-            (:func:`look_along`); None: commands act at once.
+            (:func:`look_along`); None: commands act at once and in full.
     """
 
     def decide(command: Scalar) -> tuple[Memory, Flag]:

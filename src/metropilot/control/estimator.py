@@ -542,7 +542,7 @@ def look_along(
 
     Returns:
         Positions, m, and speeds, m/s, at the end of each period, as a function of the command; None: commands
-        act at once.
+        act at once and in full.
     """
     periods = supervision.recent.size
     if periods == 1 and not np.isfinite(model.vehicle.jerk_mps3):
