@@ -53,3 +53,16 @@ def test_nobody_is_overruled_or_stands_beyond_the_mark(name, key, jerk_mps3, ser
     assert driven.outcome is Outcome.ARRIVED
     assert driven.interventions == 0
     assert abs(float(driven.trajectory.position_m[-1]) - rough.length_m) < 0.1
+
+
+@pytest.mark.parametrize(
+    ("key", "jerk_mps3", "service_mps2", "dt"), [("dkz32", 0.7, 0.7, 0.5), ("lu2023", 0.4, None, 0.2)]
+)
+def test_a_human_with_a_weak_brake_stands_at_the_mark(key, jerk_mps3, service_mps2, dt):
+    """It stood 4.7 and 4.9 m beyond, as traction goes on while the hand reacts and the brake builds up."""
+    rough, trainset = section(), slowly(key, jerk_mps3, service_mps2)
+    done = drive(
+        Run(rough, trainset, 1.1 * minimum_running_time(rough, trainset), dt=dt), make_driver("manual")
+    )
+    assert done.outcome is Outcome.ARRIVED
+    assert abs(float(done.trajectory.position_m[-1]) - rough.length_m) < 0.3

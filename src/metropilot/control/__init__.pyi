@@ -59,8 +59,10 @@ from .stopping import build_up as build_up
 from .stopping import comfortable_deceleration as comfortable_deceleration
 from .stopping import curve_for as curve_for
 from .stopping import draws_up as draws_up
+from .stopping import lasting_deceleration as lasting_deceleration
 from .stopping import mean_braking_efforts as mean_braking_efforts
 from .stopping import motion_if_braked_later as motion_if_braked_later
+from .stopping import reachable_deceleration as reachable_deceleration
 from .stopping import release as release
 from .stopping import required_deceleration as required_deceleration
 from .stopping import required_later as required_later

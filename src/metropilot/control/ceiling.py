@@ -51,6 +51,8 @@ EASE_SHARE = 0.4
 """Jerk at which traction is reduced before a speed is reached, over the trainset's jerk limit."""
 REACTION_S = 1.0
 """Time to change from traction to braking, without dead time and lag."""
+SLOWS_SHARE, LEAST_SLOWING_MPS2 = 0.93, 0.1
+"""Share of the brake that a slow-down counts on where a fall leaves less than planned; the least of it."""
 SPACING_M = 1.0
 """Distance between two nodes of the ceiling."""
 BEYOND_M = 100.0
@@ -287,8 +289,10 @@ def ceiling_acceleration(
     if found is not None:
         distance, lower = found
         required, falling = required_with_build_up(v, ahead.acceleration_mps2, distance, slowing, lower)
+        # on a fall the brake holds back less than a stop is planned with
+        gives = max(SLOWS_SHARE * ahead.brake_mps2 + ahead.gradient_mps2, LEAST_SLOWING_MPS2)
         # a slow-down that has begun (below -0.1 m/s^2) goes on, so that the brake is not applied twice
-        if required >= curve.deceleration_mps2 or falling > 0.0 or ahead.acceleration_mps2 < -0.1:
+        if required >= min(curve.deceleration_mps2, gives) or falling > 0.0 or ahead.acceleration_mps2 < -0.1:
             most = float(model.vehicle.max_deceleration_mps2)
             wanted = min(wanted, -min(required, (v - lower) / model.dt, most))
     return wanted

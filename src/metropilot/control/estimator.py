@@ -532,7 +532,7 @@ def look_ahead(model: Model, estimate: StateEstimate) -> PredictedState:
 
 def look_along(
     model: Model, estimate: StateEstimate, supervision: Memory
-) -> Callable[[Scalar], Float[ndarray, "2 periods"]] | None:
+) -> Callable[[Scalar], Float[ndarray, "2 periods"]]:
     """Prepare to predict the path while a command given now may be on its way, as far as protection looks.
 
     Args:
@@ -541,12 +541,9 @@ def look_along(
         supervision: Memory of protection.
 
     Returns:
-        Positions, m, and speeds, m/s, at the end of each period, as a function of the command; None: commands
-        act at once and in full.
+        Positions, m, and speeds, m/s, at the end of each period, as a function of the command.
     """
     periods = supervision.recent.size
-    if periods == 1 and not np.isfinite(model.vehicle.jerk_mps3):
-        return None
     age, keep, motion = _motion(estimate)
     up, down, drag = estimate.bank.parameters[:3, estimate.best].tolist()
     limits = effort_limits(model.vehicle, model.track, motion.position_m, motion.speed_mps)

@@ -31,7 +31,7 @@ from numpy import ndarray
 from metropilot._typing import Flag, Float, Scalar
 from metropilot.control.estimator import StateEstimate
 from metropilot.control.prediction import Model, PredictedState
-from metropilot.physics import Vehicle, effort_at, namespace, repeat, resistance_and_gradient, scalars
+from metropilot.physics import Track, Vehicle, effort_at, namespace, repeat, resistance_and_gradient, scalars
 
 SERVICE_USE = 0.95
 """Share of the available deceleration with which a comfortable stop is planned."""
@@ -55,6 +55,8 @@ SCARCE_GAIN = 2.5
 """Correction of a stop that needs more than the brake will give later, beyond what the stop needs..."""
 SCARCE_SHARE = 0.96
 """...where that is less than this share of the planned deceleration."""
+CRAWL_MPS = 6.0
+"""Below this speed it is asked what deceleration the jerk limit lets a trainset reach before it stands."""
 FADE_POINTS = 25
 """Points at which a brake is looked at between the present speed and standstill."""
 NEAREST_M = 1e-3
@@ -305,6 +307,25 @@ def required_deceleration(
 
 
 @no_type_check
+def reachable_deceleration(speed_mps: Scalar, acceleration_mps2: Scalar, curve: StopCurve) -> Scalar:
+    """Largest deceleration that a stop can build up and still release before standstill, m/s^2.
+
+    From ``a`` to ``b`` and from there to ``e``: ``v = (b^2 - a^2) / (2 J) + (b^2 - e^2) / (2 R)`` with the
+    jerks ``J`` of the build-up and ``R`` of the release. A crawling trainset does not reach what is planned.
+
+    Args:
+        speed_mps: Speed.
+        acceleration_mps2: Acceleration that acts now.
+        curve: Shape of the stop.
+    """
+    xp = namespace(speed_mps, acceleration_mps2)
+    build, let_go = (xp.minimum(j, AT_ONCE_MPS3) for j in (curve.build_jerk_mps3, curve.release_jerk_mps3))
+    a, e = acceleration_mps2, curve.end_mps2
+    lost = 2.0 * xp.maximum(speed_mps, 0.0) + a * a / build + e * e / let_go
+    return xp.maximum(xp.sqrt(lost / (1.0 / build + 1.0 / let_go)), LEAST_MPS2)
+
+
+@no_type_check
 def release(
     speed_mps: Scalar, distance_m: Scalar, end_mps2: Scalar, final_mps: Scalar = 0.0
 ) -> tuple[Scalar, Scalar]:
@@ -527,6 +548,8 @@ def motion_if_braked_later(
 ) -> tuple[Scalar, Scalar, Scalar]:
     """Let a period pass before a stop: traction goes on, and builds up at the jerk limit.
 
+    Traction that is nearly full only takes the way; what it adds to the speed counts in the period after.
+
     Args:
         speed_mps: Speed.
         acceleration_mps2: Acceleration that acts now; a small one is that of a fall, which does not grow.
@@ -541,10 +564,11 @@ def motion_if_braked_later(
     xp = namespace(speed_mps, acceleration_mps2)
     a, jerk = xp.maximum(acceleration_mps2, 0.0), curve.build_jerk_mps3 / options.build_share
     rise = xp.minimum(jerk, AT_ONCE_MPS3) * dt
-    grown = xp.maximum(a, xp.minimum(a + rise, most_mps2))
-    a = xp.where((jerk < AT_ONCE_MPS3) & (a > 0.5 * rise), grown, a)
-    then = xp.where(acceleration_mps2 > 0.0, a, acceleration_mps2)
-    return speed_mps + a * dt, then, (speed_mps + 0.5 * a * dt) * dt
+    grown = xp.minimum(a + rise, most_mps2)
+    builds_up = (jerk < AT_ONCE_MPS3) & (a > 0.5 * rise) & (grown - a > 0.5 * rise)
+    rate = xp.where(builds_up, grown, a)
+    speed = xp.where(builds_up, speed_mps + rate * dt, speed_mps)
+    return speed, xp.where(builds_up, rate, acceleration_mps2), (speed_mps + 0.5 * rate * dt) * dt
 
 
 def required_later(
@@ -572,7 +596,15 @@ def required_later(
 def _comes_near(required_mps2: float, curve: StopCurve, ahead: PredictedState) -> bool:
     """Tell if a stop is near enough to ask what the brake can give."""
     gives = ahead.brake_mps2 + min(ahead.gradient_mps2, 0.0)
-    return required_mps2 >= WATCHED_SHARE * min(curve.deceleration_mps2, max(gives, LEAST_MPS2))
+    planned = min(curve.deceleration_mps2, max(gives, LEAST_MPS2))
+    return required_mps2 >= WATCHED_SHARE * min(planned, _reached(ahead, curve))
+
+
+def _reached(ahead: PredictedState, curve: StopCurve) -> float:
+    """:func:`reachable_deceleration` of a crawling trainset; infinite for a faster one, which reaches any."""
+    if ahead.speed_mps >= CRAWL_MPS or curve.build_jerk_mps3 >= AT_ONCE_MPS3:
+        return math.inf
+    return float(reachable_deceleration(ahead.speed_mps, ahead.acceleration_mps2, curve))
 
 
 def stop_with_brake(
@@ -610,7 +642,7 @@ def stop_with_brake(
             options = replace(options, return_gain=SCARCE_GAIN, at_once_gain=SCARCE_GAIN)
         curve = curve._replace(deceleration_mps2=available)
         stop = stop_command(model, ahead, target_m, curve, options)
-    return stop, available
+    return stop, min(available, _reached(ahead, curve))
 
 
 @no_type_check
@@ -650,14 +682,37 @@ def deceleration_to(model: Model, estimate: StateEstimate, stop: Stop) -> float:
         estimate: State and plant as estimated; gain of the brake and factor on resistance count as at most 1.
         stop: The stop from :func:`stop_command`.
     """
-    vehicle, ahead = model.vehicle, stop.ahead
+    ahead, gains = stop.ahead, (min(estimate.brake_gain, 1.0), min(estimate.resistance_factor, 1.0))
+    end_m = ahead.position_m + max(stop.left_m, 0.0)
+    return lasting_deceleration(model.vehicle, model.track, ahead.position_m, end_m, ahead.speed_mps, *gains)
+
+
+def lasting_deceleration(
+    vehicle: Vehicle,
+    track: Track,
+    start_m: float,
+    end_m: float,
+    speed_mps: float,
+    brake_gain: float = 1.0,
+    resistance_factor: float = 1.0,
+) -> float:
+    """Deceleration that full service braking sustains from everywhere on the way to a stop, m/s^2.
+
+    Args:
+        vehicle: Nominal plant.
+        track: Nominal section.
+        start_m: Position from which it brakes.
+        end_m: Position of the stop.
+        speed_mps: Speed at the start.
+        brake_gain: Actual over nominal braking force.
+        resistance_factor: Actual over nominal resistance.
+    """
     done = np.linspace(0.0, 1.0, FADE_POINTS)
-    speeds = ahead.speed_mps * np.sqrt(1.0 - done)
-    at = ahead.position_m + done * max(stop.left_m, 0.0)
-    resistance, gradient = resistance_and_gradient(vehicle, model.track, at, speeds)
-    held = min(estimate.resistance_factor, 1.0) * resistance + gradient
+    speeds, at = speed_mps * np.sqrt(1.0 - done), start_m + done * (end_m - start_m)
+    resistance, gradient = resistance_and_gradient(vehicle, track, at, speeds)
+    held = resistance_factor * resistance + gradient
     rests = (np.cumsum(held[::-1]) / np.arange(1, held.size + 1))[::-1]
-    forces = mean_braking_efforts(vehicle, ahead.speed_mps, min(estimate.brake_gain, 1.0), rests)
+    forces = mean_braking_efforts(vehicle, speed_mps, brake_gain, rests)
     return float(forces.min()) / float(vehicle.effective_mass_kg)
 
 

@@ -36,6 +36,7 @@ from metropilot.control import (
     look_ahead,
     model_of,
     record_command,
+    required_later,
     required_with_build_up,
     stop_command,
     time_to_go,
@@ -53,6 +54,8 @@ HOLD_NOTCH = 0.5
 GENTLE_BRAKE = 0.15
 LOOK_AGAIN_S = 3.0
 RESERVE_S = 0.3
+SPARE_SHARE = 0.9
+"""A brake of which a human uses no more than this share has something to spare."""
 HUMAN_MARGIN_MPS = 0.7
 LATE_S = 1.0
 LEAST_MPS2 = 0.1
@@ -106,6 +109,7 @@ class ManualMemory(NamedTuple):
     section: Section
     scheduled_time_s: float
     habits: Habits
+    at_hand_mps2: float
     model: Model
     ceiling: Ceiling
     curve: StopCurve
@@ -161,7 +165,10 @@ def draw_habits(seed: int) -> Habits:
 def _begin(run: Run, section: Section, scheduled_s: float, habits: Habits) -> ManualMemory:
     model = model_of(run, section)
     ceiling = ceiling_of(run, section, HUMAN_MARGIN_MPS)
-    habits = habits._replace(deceleration_mps2=min(habits.deceleration_mps2, _at_hand_mps2(model)))
+    at_hand = _at_hand_mps2(model)
+    # who has nothing to spare does not begin late
+    onset_s = habits.onset_s if habits.deceleration_mps2 < SPARE_SHARE * at_hand else max(habits.onset_s, 0.0)
+    habits = habits._replace(deceleration_mps2=min(habits.deceleration_mps2, at_hand), onset_s=onset_s)
     forecast = forecast_of(model, ceiling, habits.deceleration_mps2)
     left = scheduled_s - RESERVE_S - _overhead_s(model, habits, standing=True)
     coast = section.length_m * (1.0 - habits.coast_share)
@@ -171,6 +178,7 @@ def _begin(run: Run, section: Section, scheduled_s: float, habits: Habits) -> Ma
         section=section,
         scheduled_time_s=scheduled_s,
         habits=habits,
+        at_hand_mps2=at_hand,
         model=model,
         ceiling=ceiling,
         curve=curve_for(model.vehicle, run.dt, habits.deceleration_mps2),
@@ -241,7 +249,11 @@ def _decide(memory: ManualMemory) -> tuple[float, Intent]:
     required, _ = required_with_build_up(
         ahead.speed_mps, ahead.acceleration_mps2, target - ahead.position_m - early_m, curve
     )
-    if required >= curve.deceleration_mps2:
+    rise_mps = max(ahead.acceleration_mps2, 0.0) * hand_s
+    then = ahead._replace(speed_mps=ahead.speed_mps + rise_mps)
+    left_m = target - ahead.position_m - early_m - 0.5 * rise_mps * hand_s
+    latest = required_later(then, left_m, curve, model.dt) >= memory.at_hand_mps2
+    if required >= curve.deceleration_mps2 or latest:
         return _to_notch(stop_command(model, ahead, target, curve).share), intent._replace(braking=True)
     sooner = ahead._replace(position_m=ahead.position_m + ahead.speed_mps * hand_s)
     limited = ceiling_acceleration(model, sooner, memory.ceiling, math.inf, curve)

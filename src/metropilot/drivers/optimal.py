@@ -27,6 +27,7 @@ from metropilot.control import (
     curve_for,
     departs_from,
     initial_estimate,
+    lasting_deceleration,
     look_ahead,
     model_of,
     record_command,
@@ -73,7 +74,7 @@ class OptimalOptions:
         patience_s: Least time between two plans that a departure calls for.
         period_s: A new plan at least this often, with what was learned of the trainset by then.
         last_plan_m: No new plan this close to the braking point.
-        late_last_plan_m: The same where commands act late.
+        late_last_plan_m: The same where commands act late; less at a low speed.
         release_share: Jerk of the last brake's release over the trainset's limit.
         brake_use: Share of the braking force that plan and stop count on; the rest is for corrections.
         careful_brake_use: The same where commands act late, the brake has no force to spare, or the trainset
@@ -163,11 +164,20 @@ LATE_W = 500.0
 LAST_METRES_M = 8.0
 CREEP_M = 0.05
 LAST_STRETCH_M = 30.0
+LAST_PLAN_S = 15.0
+"""No new plan so shortly before the braking point, where commands act late."""
 EARLY_S = 1e-6
 DUE_SHARE = 0.5
 """Share of what must have been learned for a plan that is due, where commands act late."""
 LATEST = 1.05
 """Braking begins where waiting a period would take more than this share of the largest deceleration."""
+DRIFT_MPS, COASTS_S = 0.03, 4.0
+"""A trainset that coasts so much faster than planned must not meet the ceiling within this time."""
+BRAKING_SHARE = 0.25
+"""The last braking of a plan is where it brakes with more than this share of its strongest."""
+LEAST_LASTING_MPS2, SHORT_OF = 0.1, 1.05
+"""A plan whose last braking takes more energy by this factor than the stop's law would is made again;
+the deceleration of that law is at least so much."""
 POWERED_MPS2 = 1e-3
 SOON_S = 3.0
 """Time before the plan brakes from which on it is not made again only because it is due."""
@@ -298,7 +308,9 @@ class Optimal(AbstractDriver):
         )
         mass = float(memory.model.vehicle.effective_mass_kg)
         coasts = (plan.traction_n[k] + plan.brake_n[k]) / mass < 1e-3
-        if coasts and abs(effort) < self.options.coast_band_mps2:
+        x, v = ahead.position_m, ahead.speed_mps
+        drifts = v > here + DRIFT_MPS and v > memory.ceiling.at(x, COASTS_S * v)
+        if coasts and abs(effort) < self.options.coast_band_mps2 and not drifts:
             return 0.0
         return ahead.share_for(wanted)
 
@@ -314,7 +326,9 @@ class Optimal(AbstractDriver):
             return False
         plan, estimate, options = memory.plan, memory.estimate, self.options
         acts = acts_late(memory.ceiling, memory.coupled)
-        last_m = options.late_last_plan_m if acts else options.last_plan_m
+        last_m = options.last_plan_m
+        if acts:
+            last_m = max(last_m, min(options.late_last_plan_m, LAST_PLAN_S * estimate.speed_mps))
         if float(memory.model.track.length_m) - estimate.position_m < last_m + braking_room(memory):
             return False
         due = since_s >= options.period_s
@@ -322,8 +336,7 @@ class Optimal(AbstractDriver):
             return True
         # A plan begins with a correction, and a lag drags it on: late, a plan that holds is not made again,
         # unless it leaves time unused.
-        ends_s = memory.clock_s + plan_time(plan, float(plan.position_m[-1]))
-        early_s = memory.scheduled_s - options.reserve_s - ends_s
+        early_s = memory.scheduled_s - options.reserve_s - memory.clock_s - plan.running_time_s
         late = observation.time_s - memory.clock_s - plan_time(plan, estimate.position_m)
         off = estimate.speed_mps - plan_speed(plan, estimate.position_m)
         learned = departs_from(self._adaptation(estimate), memory.adapted, DUE_SHARE if due else 1.0)
@@ -449,13 +462,38 @@ def acts_late(ceiling: Ceiling, coupled: tuple[Coupled, ...]) -> bool:
 
 
 def _plan(
-    vehicle: Vehicle, track: Track, time_s: float, options: PlanOptions, about: Plan | None = None
+    vehicle: Vehicle,
+    track: Track,
+    time_s: float,
+    options: PlanOptions,
+    about: Plan | None = None,
 ) -> Plan:
-    """The plan that allows for the jerk limit or, where there is none, one that leaves it to the plant."""
+    """The plan that allows for the jerk limit or, where there is none, one that leaves it to the plant.
+
+    Its last braking is no stronger than the stop's own law keeps up to the stop: on a fall before the stop,
+    or at the end of a climb, that is less than what the brake could give on the way.
+    """
     try:
-        return plan_arrays(vehicle, track, time_s, options, about)
+        plan = plan_arrays(vehicle, track, time_s, options, about)
     except SolverError:
-        return plan_arrays(vehicle, track, time_s, replace(options, jerk_mps3=None, release_mps3=None))
+        options = replace(options, jerk_mps3=None, release_mps3=None)
+        plan = plan_arrays(vehicle, track, time_s, options)
+    if options.coupled or options.cap_m is None or options.cap_mps is None:
+        return plan
+    brakes = plan.brake_n > BRAKING_SHARE * plan.brake_n.max()
+    begin = int(np.flatnonzero(np.append(True, ~brakes))[-1])
+    start, end = float(plan.position_m[begin]), float(plan.position_m[-1])
+    speed = float(plan.speed_mps[begin])
+    if end - start < LAST_STRETCH_M:
+        return plan
+    lasts = max(lasting_deceleration(vehicle, track, start, end, speed), LEAST_LASTING_MPS2)
+    if speed * speed <= SHORT_OF * 2.0 * lasts * (end - start):
+        return plan
+    cap = np.minimum(options.cap_mps, np.sqrt(2.0 * lasts * np.maximum(end - options.cap_m, 1.0)))
+    try:
+        return plan_arrays(vehicle, track, time_s, replace(options, cap_mps=cap), plan)
+    except SolverError:
+        return plan
 
 
 def powers_ahead(memory: FollowingMemory) -> bool:

@@ -23,6 +23,7 @@ from metropilot.control import (
     closing_acceleration,
     curve_for,
     motion_if_braked_later,
+    reachable_deceleration,
     stop_deceleration,
 )
 from metropilot.env.features import FeatureContext
@@ -218,7 +219,8 @@ def stop_mps2(
     limits = context.effort_limits
     most = limits.traction_mps2 - limits.drag_mps2
     then, grown, way_m = motion_if_braked_later(v, a, most, curve, dt, options)
-    quick, gone, _ = build_up(then, grown, planned, curve.build_jerk_mps3)
+    reached = xp.minimum(planned, reachable_deceleration(then, grown, curve))
+    quick, gone, _ = build_up(then, grown, reached, curve.build_jerk_mps3)
     begins = s <= gone + braking_distance(quick, curve) + xp.maximum(way_m, 0.0)
     if xp is scalars and not (stopping or begins):
         # one state on the host, far from the stop: nothing of the rest would be used

@@ -234,15 +234,11 @@ def decide(
         effort = _keep_safe(memory, observation, ahead, rate)
         share = ahead.command_for(effort)
     supervision = memory.supervision
-    slow = math.isfinite(ground.jerk_mps3)
-    if slow or memory.ceiling.late_s > 0.0 or memory.ceiling.weak:
-        # What is on its way, or built up, cannot be taken back, and a weaker brake than the service brake
-        # comes in early: protection is asked before it has to intervene.
-        periods = supervision.recent.size
-        look = ground.look_along(actuation, state, hoa.gain, periods) if slow or periods > 1 else None
-        share, supervision = largest_admissible_command(
-            memory.ceiling.guard, supervision, observation.position_m, observation.speed_mps, share, look
-        )
+    # What is on its way, or built up, cannot be taken back: protection is asked before it has to intervene.
+    look = ground.look_along(actuation, state, hoa.gain, supervision.recent.size)
+    share, supervision = largest_admissible_command(
+        memory.ceiling.guard, supervision, observation.position_m, observation.speed_mps, share, look
+    )
     memory = memory._replace(
         supervision=supervision,
         actuation=memory.actuation.issue(share),

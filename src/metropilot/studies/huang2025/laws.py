@@ -44,6 +44,7 @@ from metropilot.control import (
     PredictedState,
     StopCurve,
     draws_up,
+    lasting_deceleration,
     predict_motion,
     predict_path,
     required_later,
@@ -62,6 +63,8 @@ from metropilot.planning import (
 )
 
 SEGMENTS = 16
+CREEP_MPS, TOO_SLOW_S = 1.0, 1000.0
+"""A trainset slower than this is far too late, so that it neither brakes to a stand nor stays there."""
 SLOWEST_MPS = 0.5
 """A trainset that coasts slower than this counts as going this fast: far too late for any timetable."""
 LEAST_S = 0.1
@@ -182,7 +185,7 @@ def coasting_time(
             break
         over = over | meets
         v = faster
-    return total
+    return total + xp.where(speed_mps < CREEP_MPS, TOO_SLOW_S, 0.0)
 
 
 def expert_window(
@@ -317,6 +320,8 @@ FADE_SHARES = tuple(math.sqrt(k / 8) for k in range(8, -1, -1))
 BEYOND_M = 60.0
 FOR_LIMITS = 0.85
 """Share of the largest deceleration to brake for lower limits with: protection watches the brake build up."""
+LASTING_SHARE = 0.95
+"""Share of what a weak brake, or one on a fall, sustains on the way to a lower limit."""
 UNDER_MPS, UNDER_ASKED_MPS = 0.4, 0.2
 """Speed below a lower limit's ceiling at which the braking for it ends; the second where commands act late
 and protection is asked in advance, but not less than the first for each second of a period."""
@@ -529,11 +534,15 @@ def _safe(model: Model, ceiling: Ceiling, rules: ExpertRules, at: np.ndarray) ->
     here = limits[np.clip(np.searchsorted(begins, at, side="right") - 1, 0, limits.size - 1)]
     safe = np.minimum(here, [ceiling.at(float(x)) for x in at])
     under = max(UNDER_ASKED_MPS, UNDER_MPS * model.dt) if ceiling.late_s > 0.0 else UNDER_MPS
+    most = _service_limit(float(model.vehicle.max_deceleration_mps2))
     for place, lower in drops(model):
-        most = _service_limit(float(model.vehicle.max_deceleration_mps2))
+        fastest = float(here[at < place].max())
+        way_m = min(0.5 * fastest * fastest / most, place)
+        lasts = lasting_deceleration(model.vehicle, model.track, place - way_m, place, fastest)
+        rate = max(min(FOR_LIMITS * most, LASTING_SHARE * lasts), LEAST_EFFORT_MPS2)
         kept = min(lower, ceiling.at(place)) - under
         begins = place - lower * lead_s(model)
-        before = expert_safe_speed(np, rules, FOR_LIMITS * most, kept / rules.safe_share, begins - at, here)
+        before = expert_safe_speed(np, rules, rate, kept / rules.safe_share, begins - at, here)
         safe = np.where(at < place, np.minimum(safe, before), safe)
     return safe
 

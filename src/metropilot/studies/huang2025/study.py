@@ -81,12 +81,13 @@ while the minimum-time curve leaves time for it.
 A trainset that would be early even when coasting brakes gently (0.5 m/s²), as the paper's EITOP does in
 Fig. 11; here EITOE does so, too. Traction above the window ends as quickly as the trainset may, not by
 steps of eq. 15: what it adds is braked away again. Inside the window, which eqs. 15 and 16 do not define,
-EITOE powers until it would arrive on time, then coasts.
+EITOE powers until it would arrive on time, then coasts. A trainset slower than 1 m/s counts as late, so
+that it neither brakes to a stand before a stop on a climb nor waits there.
 
 One interval of rule 3 is the control period of 0.2 s; the paper decides every 0.02 s, which has a row
-of its own. From the safe speed on (eqs. 17 and 18) the brake follows that speed's fall at 0.85 m/s²
-instead of full braking at once, and keeps clear of protection's curves, which the paper's train does
-not.
+of its own. From the safe speed on (eqs. 17 and 18) the brake follows that speed's fall at 0.85 m/s², or
+at 95 % of what a weak brake or one on a fall sustains, instead of full braking at once; protection is
+asked before each command, which the paper's train does not.
 
 EITOP may accelerate at 0.8 m/s², every other driver of the expert at the 0.6 of rule 2: the published
 364 J/kg corresponds to a peak of 19.08 m/s, which needs 0.8. Each is compared with the optimum under

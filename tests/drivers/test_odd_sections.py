@@ -1,0 +1,107 @@
+"""Sections that random drawing found: stops on a climb and before a fall, limits that weak brakes come to."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from metropilot.control import STOP_OPTIONS, build_up, curve_for, lasting_deceleration, reachable_deceleration
+from metropilot.drivers import optimal
+from metropilot.evaluate import make_driver
+from metropilot.physics import track_arrays, vehicle_arrays
+from metropilot.planning import minimum_running_time
+from metropilot.railway import Line, Station, Steps, load_trainset
+from metropilot.sim import Outcome, Run, drive
+
+
+def section_of(length_m, limits_kmh, permil):
+    """A section from limits and gradients by position."""
+    line = Line(
+        id="odd",
+        name="odd",
+        stations=(Station("A", "Alpha", 0.0), Station("B", "Beta", length_m)),
+        limit_mps=Steps(np.array([*limits_kmh], float), np.array([*limits_kmh.values()]) / 3.6),
+        gradient_permil=Steps(np.array([*permil], float), np.array([*permil.values()], float)),
+    )
+    return line.section("A", "B")
+
+
+def slow(jerk_mps3=0.43, **late):
+    """DKZ32 with a low jerk limit."""
+    trainset = load_trainset("dkz32")
+    actuation = replace(trainset.actuation, jerk_limit_mps3=jerk_mps3, **late)
+    return replace(trainset, actuation=actuation)
+
+
+def driven(section, trainset, ratio, name, dt=0.2):
+    """A drive in a multiple of the least running time."""
+    run = Run(section, trainset, ratio * minimum_running_time(section, trainset), dt=dt)
+    return drive(run, make_driver(name))
+
+
+CLIMB = section_of(2500.0, {0.0: 29.0}, {0.0: 0.0, 900.0: 30.0})
+
+
+@pytest.mark.parametrize("name", ["generalist", "eitoe", "eitop", "optimal"])
+def test_a_stop_on_a_climb_is_reached_without_standing_before_it(name):
+    """The experts took a trainset that cannot coast to the stop for one in time, and braked it to a stand."""
+    done = driven(CLIMB, slow(), 1.25, name, dt=0.1)
+    assert done.outcome is Outcome.ARRIVED
+    assert done.interventions == 0
+    way = done.trajectory
+    assert abs(float(way.position_m[-1]) - CLIMB.length_m) < 0.2
+    moving = (way.position_m > 1.0) & (way.position_m < CLIMB.length_m - 0.3)
+    assert way.speed_mps[moving].min() > 0.0
+
+
+FALL = section_of(2523.0, {0.0: 86.0, 1411.0: 67.0}, {0.0: -2.0, 2352.0: 5.1, 2517.0: -1.7, 2521.0: -11.4})
+
+
+@pytest.mark.parametrize("name", ["optimal", "mpc"])
+def test_a_plan_brakes_no_harder_than_the_stop_keeps_up(name):
+    """They were 1.4 s late: the fall of the last metres leaves less than the brake gives before it."""
+    done = driven(FALL, load_trainset("nl_intercity_virm6"), 1.16, name, dt=1.0)
+    assert done.outcome is Outcome.ARRIVED
+    assert done.running_time_s - done.scheduled_time_s < 0.5
+
+
+DROP = section_of(2600.0, {0.0: 100.0, 1700.0: 32.0, 1780.0: 90.0}, {0.0: 0.0, 700.0: -9.0, 2000.0: 3.0})
+
+
+@pytest.mark.parametrize("name", ["eitoe", "eitop", "flat_out", "optimal"])
+def test_a_weak_brake_on_a_fall_begins_in_time_for_a_lower_limit(name):
+    """`flat_out` and the experts counted on the brake that metros have, and were overruled."""
+    done = driven(DROP, load_trainset("de_desiro_classic"), 1.15, name)
+    assert done.outcome is Outcome.ARRIVED
+    assert done.interventions == 0
+
+
+def test_a_plan_that_holds_is_not_made_again(monkeypatch):
+    """A low jerk limit under a lag had a plan made every two seconds: 191 on one section."""
+    made = []
+    plan_arrays = optimal.plan_arrays
+    monkeypatch.setattr(optimal, "plan_arrays", lambda *args: made.append(1) or plan_arrays(*args))
+    level = section_of(2500.0, {0.0: 60.0}, {0.0: 0.0})
+    done = driven(level, slow(delay_s=0.04, lag_s=0.29), 1.15, "optimal")
+    assert done.running_time_s - done.scheduled_time_s < 0.5
+    assert len(made) < 10
+
+
+def test_reachable_deceleration_is_built_up_and_released_before_the_stand():
+    vehicle = vehicle_arrays(slow())
+    curve = curve_for(vehicle, 0.2, 0.9, STOP_OPTIONS)
+    for speed, rate in ((0.8, 0.0), (1.5, -0.3), (2.0, 0.4)):
+        reached = float(reachable_deceleration(speed, rate, curve))
+        then, _, _ = build_up(speed, rate, reached, curve.build_jerk_mps3)
+        left = (reached**2 - curve.end_mps2**2) / (2 * curve.release_jerk_mps3)
+        assert float(then) == pytest.approx(left, abs=1e-6)
+
+
+def test_lasting_deceleration_is_the_least_mean_up_to_the_stop():
+    trainset = load_trainset("nl_intercity_virm6")
+    vehicle, track = vehicle_arrays(trainset), track_arrays(FALL, trainset)
+    whole = lasting_deceleration(vehicle, track, 2360.0, 2516.0, 14.0)
+    fall = lasting_deceleration(vehicle, track, 2360.0, 2523.0, 14.0)
+    assert 0.5 < fall < whole
+    weaker = lasting_deceleration(vehicle, track, 2360.0, 2523.0, 14.0, brake_gain=0.8)
+    assert weaker == pytest.approx(fall - 0.2 * 0.66, abs=0.02)
