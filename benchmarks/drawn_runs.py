@@ -3,8 +3,8 @@
 ``python -m benchmarks.drawn_runs --seed 26 --cases 60 --write docs/benchmarks.md``. A case draws a line, a
 section, a trainset of the catalogue or a drawn one, dead time, lag and jerk limit, a running time and a
 control period; nothing of it was tuned on. The second table draws the section, too: limits and gradients that
-no line has. The third tells the driver the plant (mass, resistance, dead time and lag as declared) or leaves it
-to the estimator.
+no line has. The third tells the driver the plant (mass, resistance, dead time and lag as declared) or leaves
+it to the estimator.
 """
 
 from __future__ import annotations
@@ -233,8 +233,8 @@ def main() -> None:
     every, steep = (", ".join(f"{x:g}" for x in values) for values in (PIECE_M, STEEP_PERMIL))
     free = (
         f"**Drawn sections.** As many cases on sections of {LENGTH_M[0]:g} m to {LONGEST_M / 1000:g} km with "
-        f"limits of {SLOWEST_KMH:g} to {FASTEST_KMH:g} km/h every {every} m and gradients up to {steep} permil "
-        f"every {GRADIENT_M:g} m, in the mean."
+        f"limits of {SLOWEST_KMH:g} to {FASTEST_KMH:g} km/h every {every} m and gradients up to {steep} "
+        f"permil every {GRADIENT_M:g} m, in the mean."
     )
     told = (
         f"**Told or not.** All sections of yizhuang with dkz32 AW2, {MASS} times the mass, {DELAY_S} s dead "
