@@ -54,6 +54,8 @@ HOLD_NOTCH = 0.5
 GENTLE_BRAKE = 0.15
 LOOK_AGAIN_S = 3.0
 RESERVE_S = 0.3
+NEAR_SHARE = 0.4
+"""From this share of the deceleration meant on, a human asks what the brake could still do after the hand."""
 SPARE_SHARE = 0.9
 """A brake of which a human uses no more than this share has something to spare."""
 HUMAN_MARGIN_MPS = 0.7
@@ -249,11 +251,13 @@ def _decide(memory: ManualMemory) -> tuple[float, Intent]:
     required, _ = required_with_build_up(
         ahead.speed_mps, ahead.acceleration_mps2, target - ahead.position_m - early_m, curve
     )
-    rise_mps = max(ahead.acceleration_mps2, 0.0) * hand_s
-    then = ahead._replace(speed_mps=ahead.speed_mps + rise_mps)
-    left_m = target - ahead.position_m - early_m - 0.5 * rise_mps * hand_s
-    latest = required_later(then, left_m, curve, model.dt) >= memory.at_hand_mps2
-    if required >= curve.deceleration_mps2 or latest:
+    begins = required >= curve.deceleration_mps2
+    if not begins and required >= NEAR_SHARE * curve.deceleration_mps2:
+        rise_mps = max(ahead.acceleration_mps2, 0.0) * hand_s
+        then = ahead._replace(speed_mps=ahead.speed_mps + rise_mps)
+        left_m = target - ahead.position_m - early_m - 0.5 * rise_mps * hand_s
+        begins = required_later(then, left_m, curve, model.dt) >= memory.at_hand_mps2
+    if begins:
         return _to_notch(stop_command(model, ahead, target, curve).share), intent._replace(braking=True)
     sooner = ahead._replace(position_m=ahead.position_m + ahead.speed_mps * hand_s)
     limited = ceiling_acceleration(model, sooner, memory.ceiling, math.inf, curve)
