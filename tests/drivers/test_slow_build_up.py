@@ -7,7 +7,7 @@ import pytest
 
 from metropilot.evaluate import make_driver
 from metropilot.planning import minimum_running_time
-from metropilot.railway import Line, Station, Steps, load_trainset
+from metropilot.railway import Line, Station, Steps, load_line, load_trainset
 from metropilot.sim import Outcome, Run, drive
 
 LIMITS_KMH = (80.0, 45.0, 65.0, 30.0, 70.0, 80.0, 45.0, 65.0, 30.0, 70.0, 80.0, 45.0, 65.0, 30.0, 70.0)
@@ -66,3 +66,12 @@ def test_a_human_with_a_weak_brake_stands_at_the_mark(key, jerk_mps3, service_mp
     )
     assert done.outcome is Outcome.ARRIVED
     assert abs(float(done.trajectory.position_m[-1]) - rough.length_m) < 0.3
+
+
+def test_a_human_on_a_long_fall_counts_the_whole_of_it():
+    """It stood 7 m beyond: a brake of 0.35 m/s^2 begins 1 km before the stop, where the fall is."""
+    line, trainset = load_line("zurich-stadelhofen"), load_trainset("de_traxx_ic2")
+    run = Run(line.section("ZHDB", "ZAS"), trainset, 148.8, dt=1.0)
+    done = drive(run, make_driver("manual"))
+    assert done.outcome is Outcome.ARRIVED
+    assert abs(float(done.trajectory.position_m[-1]) - run.section.length_m) < 0.3

@@ -33,6 +33,7 @@ from metropilot.control import (
     curve_for,
     forecast_of,
     initial_estimate,
+    lasting_deceleration,
     look_ahead,
     model_of,
     record_command,
@@ -167,7 +168,7 @@ def draw_habits(seed: int) -> Habits:
 def _begin(run: Run, section: Section, scheduled_s: float, habits: Habits) -> ManualMemory:
     model = model_of(run, section)
     ceiling = ceiling_of(run, section, HUMAN_MARGIN_MPS)
-    at_hand = _at_hand_mps2(model)
+    at_hand = _at_hand_mps2(model, ceiling.speed_mps)
     # who has nothing to spare does not begin late
     onset_s = habits.onset_s if habits.deceleration_mps2 < SPARE_SHARE * at_hand else max(habits.onset_s, 0.0)
     habits = habits._replace(deceleration_mps2=min(habits.deceleration_mps2, at_hand), onset_s=onset_s)
@@ -191,13 +192,18 @@ def _begin(run: Run, section: Section, scheduled_s: float, habits: Habits) -> Ma
     )
 
 
-def _at_hand_mps2(model: Model) -> float:
+def _at_hand_mps2(model: Model, caps_mps: np.ndarray) -> float:
     """Deceleration the data sheet promises at any speed, on the worst gradient on the way to the stop."""
     vehicle = model.vehicle
     speeds = np.linspace(0.0, float(vehicle.max_speed_mps), 9)
     brake = min(float(effort_at(vehicle, v).brake_n) for v in speeds) / float(vehicle.effective_mass_kg)
     gradient = min(weakest_gradient(model, float(model.track.length_m)), 0.0)
-    return max(min(SERVICE_USE * (brake + gradient), float(vehicle.max_deceleration_mps2)), LEAST_MPS2)
+    level = max(min(SERVICE_USE * (brake + gradient), float(vehicle.max_deceleration_mps2)), LEAST_MPS2)
+    # a weak brake begins so early that the fall before counts, too
+    end, fastest = float(model.track.length_m), min(float(vehicle.max_speed_mps), float(caps_mps.max()))
+    start = max(end - 0.5 * fastest * fastest / level, 0.0)
+    lasts = lasting_deceleration(vehicle, model.track, start, end, fastest)
+    return max(min(level, SERVICE_USE * lasts), LEAST_MPS2)
 
 
 def _overhead_s(model: Model, habits: Habits, *, standing: bool) -> float:

@@ -677,6 +677,8 @@ CRAWL_M = 2.0
 """A trainset that coasts to a crawl is drawn up to the stop from this distance on; it is in time..."""
 LATE_CRAWL_MPS = 3.0
 """...and from so much farther off for each second of dead time and lag: traction acts too long there."""
+CREEPS_PAST_MPS, PAST_M = 0.03, 0.01
+"""A trainset slower than this so far past the mark is brought to a stand."""
 DRAW_UP_M = 8.0
 """A trainset that stands no farther short of the stop than this is drawn up to it."""
 
@@ -781,9 +783,13 @@ def stop_share(
         curve: Shape of the stop, planned with :meth:`Hoa.plan_mps2`.
     """
     v, distance, plan = ahead.speed_mps, ground.length_m - ahead.position_m, curve.deceleration_mps2
-    if v <= 0.0 and distance < STOP_OPTIONS.inch_m:
-        return ahead.command_for(-max(curve.end_mps2, STOP_OPTIONS.hold_mps2)), True
     dt, a = actuation.dt, ahead.acceleration_mps2
+    stands = v <= 0.0 and distance < STOP_OPTIONS.inch_m
+    if stands or (v < CREEPS_PAST_MPS and distance < -PAST_M):
+        # past the mark so low a speed asks for less than the error of the resistance: it would creep on
+        holds = -max(curve.end_mps2, STOP_OPTIONS.hold_mps2)
+        gently = min(ahead.resistance_mps2 - STOP_OPTIONS.drop_share * ground.jerk_mps3 * dt, 0.0)
+        return ahead.command_for(holds if stands else max(gently, holds)), True
     near_m = CRAWL_M + LATE_CRAWL_MPS * (actuation.seconds + actuation.lag_s)
     crawls = (hoa.braking or distance <= near_m) and not (hoa.braking and a < 0.0)
     if crawls and draws_up(v, a, distance, ground.jerk_mps3, actuation.lag_s):
