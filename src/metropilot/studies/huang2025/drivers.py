@@ -220,7 +220,8 @@ def decide(
         # The answers contradict what is declared, which is the first hypothesis.
         actuation = estimated_actuation(estimate, actuation.dt)
     hoa = memory.hoa if overruled else update_gain(memory.hoa, ground, actuation, state, memory.before_mps2)
-    ahead = ground.ahead(actuation, state, hoa.gain)
+    now = ground.now(actuation, state, hoa.gain)
+    ahead = ground.ahead(actuation, now)
     downhill = ground.downhill(ahead.position_m)
     brake, net = ground.mean_brake(ahead.speed_mps, min(hoa.gain, 1.0), downhill)
     plan = hoa.plan_mps2(brake, net, ground.stop_mps2)
@@ -235,7 +236,7 @@ def decide(
         share = ahead.command_for(effort)
     supervision = memory.supervision
     # What is on its way, or built up, cannot be taken back: protection is asked before it has to intervene.
-    look = ground.look_along(actuation, state, hoa.gain, supervision.recent.size)
+    look = ground.look_along(actuation, now, supervision.recent.size)
     share, supervision = largest_admissible_command(
         memory.ceiling.guard, supervision, observation.position_m, observation.speed_mps, share, look
     )

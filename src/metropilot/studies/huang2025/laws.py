@@ -185,6 +185,8 @@ def coasting_time(
             break
         over = over | meets
         v = faster
+    if single:
+        return total if speed_mps >= CREEP_MPS else total + TOO_SLOW_S
     return total + xp.where(speed_mps < CREEP_MPS, TOO_SLOW_S, 0.0)
 
 
@@ -327,6 +329,20 @@ UNDER_MPS, UNDER_ASKED_MPS = 0.4, 0.2
 and protection is asked in advance, but not less than the first for each second of a period."""
 
 
+class ExpertMotion(NamedTuple):
+    """Motion of the last period.
+
+    Attributes:
+        motion: Position, speed, acceleration, and share of the effort in force.
+        limits_mps2: Largest traction, largest service brake, and drag.
+        brake_gain: Actual over believed braking force.
+    """
+
+    motion: Motion
+    limits_mps2: tuple[float, float, float]
+    brake_gain: float
+
+
 class ExpertTrack(NamedTuple):
     """Tables of a section, even in position and speed; every number over effective mass.
 
@@ -417,17 +433,28 @@ class ExpertTrack(NamedTuple):
             left, [_interpolate(climb, x / STEP_M) for x in at], [0.5 * v * v for v in caps], end_mps
         )
 
-    def ahead(
+    def now(
         self, actuation: CommandActuation, state: tuple[float, float, float], brake_gain: float
-    ) -> PredictedState:
-        """The state at the moment a command given now begins to act.
+    ) -> ExpertMotion:
+        """The motion now, and what may act on it.
 
         Args:
             actuation: Commands on their way.
             state: Position, speed and acceleration of the last period; m, m/s, m/s^2.
             brake_gain: Actual over believed braking force.
         """
-        motion, limits = self._now(actuation, state, brake_gain)
+        x, v, a = state
+        limits = self.traction(v), brake_gain * self.brake(v), self.drag(x, v)
+        return ExpertMotion(Motion(x, v, a, actuation.share), limits, brake_gain)
+
+    def ahead(self, actuation: CommandActuation, now: ExpertMotion) -> PredictedState:
+        """The state at the moment a command given now begins to act.
+
+        Args:
+            actuation: Commands on their way.
+            now: From :meth:`now`.
+        """
+        motion, limits, brake_gain = now
         if actuation.delay_steps > 0:
             commands, steps, keep = actuation.commands, actuation.delay_steps, actuation.keep
             motion = predict_motion(motion, commands, steps, keep, limits, self.jerk_mps3, actuation.dt)
@@ -437,21 +464,16 @@ class ExpertTrack(NamedTuple):
         return PredictedState(actuation.seconds, *motion, actuation.keep, drag, 0.0, traction, brake)
 
     def look_along(
-        self,
-        actuation: CommandActuation,
-        state: tuple[float, float, float],
-        brake_gain: float,
-        periods: int,
+        self, actuation: CommandActuation, now: ExpertMotion, periods: int
     ) -> Callable[[Scalar], Float[np.ndarray, "2 periods"]]:
         """Prepare to predict positions, m, and speeds, m/s, at the end of each coming period, by command.
 
         Args:
             actuation: Commands on their way.
-            state: Position, speed and acceleration of the last period; m, m/s, m/s^2.
-            brake_gain: Actual over believed braking force.
+            now: From :meth:`now`.
             periods: Periods to predict.
         """
-        motion, limits = self._now(actuation, state, brake_gain)
+        motion, limits, _ = now
         steps, keep, jerk = actuation.delay_steps, actuation.keep, self.jerk_mps3
 
         @no_type_check
@@ -460,14 +482,6 @@ class ExpertTrack(NamedTuple):
             return predict_path(motion, commands, steps, keep, limits, jerk, actuation.dt, periods)
 
         return look
-
-    def _now(
-        self, actuation: CommandActuation, state: tuple[float, float, float], brake_gain: float
-    ) -> tuple[Motion, tuple[float, float, float]]:
-        """The motion now; largest traction, largest service brake, and drag."""
-        x, v, a = state
-        limits = self.traction(v), brake_gain * self.brake(v), self.drag(x, v)
-        return Motion(x, v, a, actuation.share), limits
 
 
 def expert_track(model: Model, ceiling: Ceiling, rules: ExpertRules) -> ExpertTrack:
