@@ -77,7 +77,7 @@ def test_a_weak_brake_on_a_fall_begins_in_time_for_a_lower_limit(name):
 
 
 def test_a_plan_that_holds_is_not_made_again(monkeypatch):
-    """A low jerk limit under a lag had a plan made every two seconds: 191 on one section."""
+    """A low jerk limit under a lag had a plan made every two seconds: 82 on this section."""
     made = []
     plan_arrays = optimal.plan_arrays
     monkeypatch.setattr(optimal, "plan_arrays", lambda *args: made.append(1) or plan_arrays(*args))

@@ -183,7 +183,7 @@ def largest_admissible_command(
     position_m: float,
     speed_mps: float,
     share: float,
-    look: Callable[[Scalar], Float[ndarray, "2 periods"]] | None = None,
+    look: Callable[[Scalar], Float[ndarray, "2 periods"]],
 ) -> tuple[float, Memory]:
     """Largest command up to ``share`` that protection admits, and the memory of protection after it.
 
@@ -197,7 +197,7 @@ def largest_admissible_command(
         speed_mps: Measured speed.
         share: Wanted command in [-1, 1].
         look: Position and speed at the end of each period in which a command may still be on its way
-            (:func:`look_along`); None: commands act at once and in full.
+            (:func:`look_along`).
     """
 
     def decide(command: Scalar) -> tuple[Memory, Flag]:
@@ -205,18 +205,17 @@ def largest_admissible_command(
         return after, int(verdict.level) == 0
 
     def admits(command: Scalar, after: Memory) -> Flag:
-        return look is None or admits_braking(guard, after, *look(command))
+        return admits_braking(guard, after, *look(command))
 
     after, passes = decide(share)
     if passes and admits(share, after):
         return share, after
     least, _ = decide(-1.0)
-    if look is not None and not admits(-1.0, least):
-        look, share = None, min(share, 0.0)
-        after, passes = decide(share)
-        if passes:
-            return share, after
-    return _largest_between(decide, admits, share, least)
+    if admits(-1.0, least):
+        return _largest_between(decide, admits, share, least)
+    share = min(share, 0.0)
+    after, passes = decide(share)
+    return (share, after) if passes else _largest_between(decide, lambda _command, _after: True, share, least)
 
 
 def ask_protection(

@@ -55,7 +55,7 @@ SCARCE_GAIN = 2.5
 """Correction of a stop that needs more than the brake will give later, beyond what the stop needs..."""
 SCARCE_SHARE = 0.96
 """...where that is less than this share of the planned deceleration."""
-CRAWL_MPS = 6.0
+SLOW_MPS = 6.0
 """Below this speed it is asked what deceleration the jerk limit lets a trainset reach before it stands."""
 FADE_POINTS = 25
 """Points at which a brake is looked at between the present speed and standstill."""
@@ -311,7 +311,7 @@ def reachable_deceleration(speed_mps: Scalar, acceleration_mps2: Scalar, curve: 
     """Largest deceleration that a stop can build up and still release before standstill, m/s^2.
 
     From ``a`` to ``b`` and from there to ``e``: ``v = (b^2 - a^2) / (2 J) + (b^2 - e^2) / (2 R)`` with the
-    jerks ``J`` of the build-up and ``R`` of the release. A crawling trainset does not reach what is planned.
+    jerks ``J`` of the build-up and ``R`` of the release. A slow trainset does not reach what is planned.
 
     Args:
         speed_mps: Speed.
@@ -597,12 +597,12 @@ def _comes_near(required_mps2: float, curve: StopCurve, ahead: PredictedState) -
     """Tell if a stop is near enough to ask what the brake can give."""
     gives = ahead.brake_mps2 + min(ahead.gradient_mps2, 0.0)
     planned = min(curve.deceleration_mps2, max(gives, LEAST_MPS2))
-    return required_mps2 >= WATCHED_SHARE * min(planned, _reached(ahead, curve))
+    return required_mps2 >= WATCHED_SHARE * min(planned, _reachable_when_slow(ahead, curve))
 
 
-def _reached(ahead: PredictedState, curve: StopCurve) -> float:
-    """:func:`reachable_deceleration` of a crawling trainset; infinite for a faster one, which reaches any."""
-    if ahead.speed_mps >= CRAWL_MPS or curve.build_jerk_mps3 >= AT_ONCE_MPS3:
+def _reachable_when_slow(ahead: PredictedState, curve: StopCurve) -> float:
+    """:func:`reachable_deceleration` of a slow trainset; infinite for a faster one, which reaches any."""
+    if ahead.speed_mps >= SLOW_MPS or curve.build_jerk_mps3 >= AT_ONCE_MPS3:
         return math.inf
     return float(reachable_deceleration(ahead.speed_mps, ahead.acceleration_mps2, curve))
 
@@ -642,7 +642,7 @@ def stop_with_brake(
             options = replace(options, return_gain=SCARCE_GAIN, at_once_gain=SCARCE_GAIN)
         curve = curve._replace(deceleration_mps2=available)
         stop = stop_command(model, ahead, target_m, curve, options)
-    return stop, min(available, _reached(ahead, curve))
+    return stop, min(available, _reachable_when_slow(ahead, curve))
 
 
 @no_type_check

@@ -175,9 +175,8 @@ DRIFT_MPS, COASTS_S = 0.03, 4.0
 """A trainset that coasts so much faster than planned must not meet the ceiling within this time."""
 BRAKING_SHARE = 0.25
 """The last braking of a plan is where it brakes with more than this share of its strongest."""
-LEAST_LASTING_MPS2, SHORT_OF = 0.1, 1.05
-"""A plan whose last braking takes more energy by this factor than the stop's law would is made again;
-the deceleration of that law is at least so much."""
+LEAST_LASTING_MPS2, STRONGER = 0.1, 1.05
+"""Least deceleration that a stop counts on; a plan whose last braking is this much stronger is made again."""
 POWERED_MPS2 = 1e-3
 SOON_S = 3.0
 """Time before the plan brakes from which on it is not made again only because it is due."""
@@ -462,22 +461,25 @@ def acts_late(ceiling: Ceiling, coupled: tuple[Coupled, ...]) -> bool:
 
 
 def _plan(
-    vehicle: Vehicle,
-    track: Track,
-    time_s: float,
-    options: PlanOptions,
-    about: Plan | None = None,
+    vehicle: Vehicle, track: Track, time_s: float, options: PlanOptions, about: Plan | None = None
 ) -> Plan:
-    """The plan that allows for the jerk limit or, where there is none, one that leaves it to the plant.
-
-    Its last braking is no stronger than the stop's own law keeps up to the stop: on a fall before the stop,
-    or at the end of a climb, that is less than what the brake could give on the way.
-    """
+    """The plan that allows for the jerk limit or, where there is none, one that leaves it to the plant."""
     try:
         plan = plan_arrays(vehicle, track, time_s, options, about)
     except SolverError:
         options = replace(options, jerk_mps3=None, release_mps3=None)
         plan = plan_arrays(vehicle, track, time_s, options)
+    return _ease_last_braking(vehicle, track, time_s, options, plan)
+
+
+def _ease_last_braking(
+    vehicle: Vehicle, track: Track, time_s: float, options: PlanOptions, plan: Plan
+) -> Plan:
+    """The plan, or one whose last braking is no stronger than the stop's own law keeps up to the stop.
+
+    On a fall before the stop, or at the end of a climb, that is less than what the brake could give on the
+    way.
+    """
     if options.coupled or options.cap_m is None or options.cap_mps is None:
         return plan
     brakes = plan.brake_n > BRAKING_SHARE * plan.brake_n.max()
@@ -487,7 +489,7 @@ def _plan(
     if end - start < LAST_STRETCH_M:
         return plan
     lasts = max(lasting_deceleration(vehicle, track, start, end, speed), LEAST_LASTING_MPS2)
-    if speed * speed <= SHORT_OF * 2.0 * lasts * (end - start):
+    if speed * speed <= STRONGER * 2.0 * lasts * (end - start):
         return plan
     cap = np.minimum(options.cap_mps, np.sqrt(2.0 * lasts * np.maximum(end - options.cap_m, 1.0)))
     try:

@@ -88,10 +88,9 @@ CLEAR_MPS = 3.0
 """Farther below the safe speed than this nothing needs to be eased off."""
 HOA_STOP = StopOptions(lag_ramp=False)
 """The heuristic online algorithm begins earlier by half the lag instead."""
-MARGIN_MPS, ASKED_MPS, ASKED_MPS2 = 0.25, 0.08, 0.25
-"""Distance of the ceiling from the permitted speed. Where commands act late, protection is asked in advance,
-and it is at least the second, and the third for each second of a period, in which the speed may rise unseen.
-"""
+MARGIN_MPS, LATE_MARGIN_MPS, LATE_MARGIN_MPS2 = 0.25, 0.08, 0.25
+"""Distance of the ceiling from the permitted speed. Where commands act late it is at least the second, and
+the third for each second of a period, in which the speed may rise unseen."""
 TIGHT = 1.03
 """Time left over the least time below which no time is given away for a lower limit ahead."""
 
@@ -167,8 +166,10 @@ def prepare_expert(run: Run, section: Section, rules: ExpertRules, hoa: Hoa) -> 
     """
     model = model_of(run, section)
     bounds = declared_bounds(run)
-    asked = bounds.delay_s + bounds.lag_s > 0.0
-    ceiling = ceiling_of(run, section, max(ASKED_MPS, ASKED_MPS2 * run.dt) if asked else MARGIN_MPS)
+    late = bounds.delay_s + bounds.lag_s > 0.0
+    ceiling = ceiling_of(
+        run, section, max(LATE_MARGIN_MPS, LATE_MARGIN_MPS2 * run.dt) if late else MARGIN_MPS
+    )
     ground = expert_track(model, ceiling, rules)
     return ExpertMemory(
         run=run,

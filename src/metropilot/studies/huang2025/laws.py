@@ -324,9 +324,9 @@ FOR_LIMITS = 0.85
 """Share of the largest deceleration to brake for lower limits with: protection watches the brake build up."""
 LASTING_SHARE = 0.95
 """Share of what a weak brake, or one on a fall, sustains on the way to a lower limit."""
-UNDER_MPS, UNDER_ASKED_MPS = 0.4, 0.2
-"""Speed below a lower limit's ceiling at which the braking for it ends; the second where commands act late
-and protection is asked in advance, but not less than the first for each second of a period."""
+UNDER_MPS, UNDER_LATE_MPS = 0.4, 0.2
+"""Speed below a lower limit's ceiling at which the braking for it ends; the second where commands act late,
+but not less than the first for each second of a period."""
 
 
 class ExpertMotion(NamedTuple):
@@ -547,7 +547,7 @@ def _safe(model: Model, ceiling: Ceiling, rules: ExpertRules, at: np.ndarray) ->
     begins, limits = np.asarray(model.track.limit_from_m), np.asarray(model.track.limit_mps)
     here = limits[np.clip(np.searchsorted(begins, at, side="right") - 1, 0, limits.size - 1)]
     safe = np.minimum(here, [ceiling.at(float(x)) for x in at])
-    under = max(UNDER_ASKED_MPS, UNDER_MPS * model.dt) if ceiling.late_s > 0.0 else UNDER_MPS
+    under = max(UNDER_LATE_MPS, UNDER_MPS * model.dt) if ceiling.late_s > 0.0 else UNDER_MPS
     most = _service_limit(float(model.vehicle.max_deceleration_mps2))
     for place, lower in drops(model):
         fastest = float(here[at < place].max())
