@@ -19,7 +19,7 @@ from metropilot.protection import (
     protect,
     supervise,
 )
-from metropilot.railway import MovementAuthority, Restriction, Steps, load_line, load_trainset
+from metropilot.railway import Actuation, MovementAuthority, Restriction, Steps, load_line, load_trainset
 
 LINE = load_line("yizhuang")
 SECTION = LINE.section("RJ", "WYJ")
@@ -60,9 +60,18 @@ def test_a_modest_driver_is_left_alone():
     assert ride.memory.interventions == 0
 
 
-def test_full_braking_over_a_path_is_told_as_period_by_period():
+STEEP = replace(
+    SECTION,
+    gradient_permil=Steps(np.arange(-500.0, 3000.0, 40.0), np.resize([16.0, -14.0], 88)),
+    limit_mps=Steps(np.array([-500.0]), np.array([8.1])),
+)
+SHORT = replace(load_trainset("cn_beijing_subway"), actuation=Actuation(0.35, 0.56, 0.54))
+
+
+@pytest.mark.parametrize(("section", "trainset", "below_mps"), [(SECTION, LATE, 0.6), (STEEP, SHORT, 1.0)])
+def test_full_braking_over_a_path_is_told_as_period_by_period(section, trainset, below_mps):
     """Near a limit, with traction on its way: the answer for all periods is that for each of them."""
-    guard, rng, told = protect(SECTION, LATE, Bounds.of(LATE, DT)), np.random.default_rng(3), []
+    guard, rng, told = protect(section, trainset, Bounds.of(trainset, DT)), np.random.default_rng(3), []
 
     def passes(after, path, more_mps):
         for x, v in path.T:
@@ -73,7 +82,7 @@ def test_full_braking_over_a_path_is_told_as_period_by_period():
 
     for _ in range(100):
         x, share = rng.uniform(200.0, 2000.0), rng.uniform(0.0, 0.6)
-        v = float(permitted_speed(guard, np.float64(x))) - rng.uniform(0.0, 0.6)
+        v = float(permitted_speed(guard, np.float64(x))) - rng.uniform(0.0, below_mps)
         before = at_start(guard, share=0.0)
         _, after, verdict = supervise(guard, before, x, v, Command(np.float64(share), False))
         if verdict.level > 0:

@@ -119,6 +119,7 @@ def admits_braking(
     memory: Memory,
     position_m: Float[np.ndarray, " periods"],
     speed_mps: Float[np.ndarray, " periods"],
+    spare_mps: Scalar = EXPECTED_MPS,
 ) -> bool:
     """Tell if full braking would pass in each of the coming periods, whatever is still on its way (NumPy).
 
@@ -131,6 +132,7 @@ def admits_braking(
         memory: After the last command; as many periods as it remembers commands can be told.
         position_m: Position expected at the end of each period.
         speed_mps: Speed expected there.
+        spare_mps: Speed to allow on top of the expected one.
     """
     if isinstance(position_m, np.ndarray) and _far_below(
         protection, memory, position_m, float(speed_mps.max())
@@ -150,7 +152,7 @@ def admits_braking(
     for each in upheld[:-1]:
         gained.append(np.maximum(each, gained[-1] - fades))
     check.fading = np.stack(gained)[:, None] - fades
-    margin = EXPECTED_MPS + protection.rates.speed_error_mps
+    margin = spare_mps + protection.rates.speed_error_mps
     return bool(check.passes(bound, margin).all())
 
 
@@ -161,7 +163,9 @@ def _far_below(
     usual, worst, pull = protection.service_rates, protection.rates, protection.pull_mps2
     (first, _), (last, _) = on_grid(protection, position_m[0]), on_grid(protection, position_m[-1])
     ahead = slice(first, last + protection.ahead.size)
-    rise = max(float(memory.acceleration_mps2 + pull[first : last + 2].max() - pull[first]), 0.0)
+    # the service curve looks at the gradient over a longer reaction, so its pull may grow before the other's
+    most = max(pull[first : last + 2].max(), protection.usual_pull_mps2[first : last + 2].max())
+    rise = max(float(memory.acceleration_mps2 + most - pull[first]), 0.0)
     reaction_s = max(float(usual.reaction_s), float(worst.reaction_s))
     jerk = min(float(usual.jerk_mps3), float(worst.jerk_mps3))
     peak = speed_mps + EXPECTED_MPS + 2.0 * worst.speed_error_mps + rise * (reaction_s + 0.5 * rise / jerk)
