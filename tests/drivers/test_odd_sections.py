@@ -10,7 +10,7 @@ from metropilot.drivers import optimal
 from metropilot.evaluate import make_driver
 from metropilot.physics import track_arrays, vehicle_arrays
 from metropilot.planning import minimum_running_time
-from metropilot.railway import Line, Station, Steps, load_trainset
+from metropilot.railway import Actuation, Line, Station, Steps, load_trainset
 from metropilot.sim import Outcome, Run, drive
 
 
@@ -105,3 +105,41 @@ def test_lasting_deceleration_is_the_least_mean_up_to_the_stop():
     assert 0.5 < fall < whole
     weaker = lasting_deceleration(vehicle, track, 2360.0, 2523.0, 14.0, brake_gain=0.8)
     assert weaker == pytest.approx(fall - 0.2 * 0.66, abs=0.02)
+
+
+@pytest.mark.parametrize("length_m", [270.0, 275.6])
+@pytest.mark.parametrize("name", ["flat_out", "optimal", "eitoe", "manual"])
+def test_what_a_long_period_of_traction_adds_is_braked_away_before_the_mark(name, length_m):
+    """Without a jerk limit `flat_out` counted the way of one more period, not its speed: 7 m beyond."""
+    trainset = load_trainset("ch_stadler_kiss_sbb")
+    at_once = replace(trainset, actuation=Actuation(0.0, 0.0, np.inf))
+    done = driven(section_of(length_m, {0.0: 130.0}, {0.0: 0.0}), at_once, 1.16, name, dt=1.0)
+    assert done.outcome is Outcome.ARRIVED
+    assert done.interventions == 0
+
+
+def test_a_brake_that_fades_brakes_as_late_at_low_speed_as_it_can():
+    """A limit of 26 km/h was approached with what the brake gives at 80: 2.7 s late."""
+    limits = {0.0: 68.0, 3000.0: 26.0, 4000.0: 43.0}
+    section = section_of(6000.0, limits, {0.0: -15.0, 4000.0: 0.0})
+    done = driven(section, load_trainset("cheng2023"), 1.08, "generalist", dt=0.2)
+    assert done.outcome is Outcome.ARRIVED
+    assert done.interventions == 0
+    assert abs(done.running_time_s - done.scheduled_time_s) < 0.5
+
+
+def test_a_fall_at_the_limit_takes_the_time_of_the_speed_that_is_held():
+    """Coasting was forecast at the limit itself, which the train is kept 0.05 m/s below: 1.1 s late."""
+    section = section_of(4500.0, {0.0: 34.0}, {0.0: 0.0, 300.0: 10.0, 700.0: -14.0})
+    done = driven(section, load_trainset("dkz32"), 1.33, "generalist")
+    assert done.outcome is Outcome.ARRIVED
+    assert abs(done.running_time_s - done.scheduled_time_s) < 0.5
+
+
+@pytest.mark.parametrize(("length_m", "ratio"), [(250.0, 1.25), (260.0, 1.25), (300.0, 1.4)])
+def test_a_hand_on_its_way_to_power_counts_before_the_stop(length_m, ratio):
+    """`manual` looked at the stop as if it coasted while its hand moved to full power: 5 to 7 m beyond."""
+    trainset = load_trainset("dkz32-contest")
+    slow_to_build = replace(trainset, actuation=Actuation(0.0, 0.0, 0.68))
+    done = driven(section_of(length_m, {0.0: 80.0}, {0.0: 8.0}), slow_to_build, ratio, "manual", dt=1.0)
+    assert done.outcome is Outcome.ARRIVED

@@ -24,7 +24,7 @@ def context(room, position_m, speed_mps, left_s):
         "acceleration_mps2": np.float64(0.0),
         "scheduled_s": np.float64(left_s),
         "command": np.float64(0.0),
-        "work_share": DOMAIN_ASSISTS.work_share,
+        "assists": DOMAIN_ASSISTS,
     }
     return FeatureContext(
         rows=room.rows,

@@ -306,7 +306,7 @@ def decide_by_policy(
         **measured._asdict(),
         scheduled_s=scheduled_s,
         command=before.command,
-        work_share=interface.assists.work_share,
+        assists=interface.assists,
     )
     output = network_output(spec, params, observe(interface.features, context), jnp)
     action = choose_action(spec, output, interface.action.action_mask(context, interface.period_s), jnp)

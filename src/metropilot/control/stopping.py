@@ -565,9 +565,10 @@ def motion_if_braked_later(
     a, jerk = xp.maximum(acceleration_mps2, 0.0), curve.build_jerk_mps3 / options.build_share
     rise = xp.minimum(jerk, AT_ONCE_MPS3) * dt
     grown = xp.minimum(a + rise, most_mps2)
-    builds_up = (jerk < AT_ONCE_MPS3) & (a > 0.5 * rise) & (grown - a > 0.5 * rise)
+    at_once = jerk >= AT_ONCE_MPS3
+    builds_up = ~at_once & (a > 0.5 * rise) & (grown - a > 0.5 * rise)
     rate = xp.where(builds_up, grown, a)
-    speed = xp.where(builds_up, speed_mps + rate * dt, speed_mps)
+    speed = xp.where(builds_up | at_once, speed_mps + rate * dt, speed_mps)
     return speed, xp.where(builds_up, rate, acceleration_mps2), (speed_mps + 0.5 * rate * dt) * dt
 
 

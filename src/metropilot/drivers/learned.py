@@ -281,5 +281,5 @@ class LearnedDriver(AbstractDriver):
             acceleration_mps2=float(a),
             scheduled_s=float(scheduled),
             command=memory.command,
-            work_share=assists.work_share,
+            assists=assists,
         )

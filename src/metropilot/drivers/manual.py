@@ -259,7 +259,9 @@ def _decide(memory: ManualMemory) -> tuple[float, Intent]:
     )
     begins = required >= curve.deceleration_mps2
     if not begins and required >= NEAR_SHARE * curve.deceleration_mps2:
-        rise_mps = max(ahead.acceleration_mps2, 0.0) * hand_s
+        # the lever may be on its way to traction
+        pulls = memory.lever.wanted * ahead.traction_mps2 - ahead.resistance_mps2 - ahead.gradient_mps2
+        rise_mps = max(ahead.acceleration_mps2, pulls if memory.lever.wanted > 0.0 else 0.0, 0.0) * hand_s
         then = ahead._replace(speed_mps=ahead.speed_mps + rise_mps)
         left_m = target - ahead.position_m - early_m - 0.5 * rise_mps * hand_s
         begins = required_later(then, left_m, curve, model.dt) >= memory.at_hand_mps2

@@ -91,6 +91,11 @@ class Assists:
         """Share of the brakes' work along the way that station-stop braking takes; 0 unless it is late."""
         return self.stop_use if self.late else 0.0
 
+    @property
+    def below_mps(self) -> float:
+        """Speed by which the trainset stays below the permitted one, m/s; 0 where nothing keeps it there."""
+        return self.margin_mps if self.ceiling else 0.0
+
     def planned_mps2(self, rows: SectionRows, case: Index, sure_mps2: Scalar, position_m: Scalar) -> Scalar:
         """Deceleration to plan the last braking with from a position.
 

@@ -247,7 +247,7 @@ class DrivingTask(AbstractTask):
             acceleration_mps2=plant.acceleration_mps2,
             scheduled_s=scheduled_s(state),
             command=state.command,
-            work_share=assists.work_share,
+            assists=assists,
         )
 
     def row(self, state: DriveState) -> Index:

@@ -10,7 +10,7 @@ import functools
 import itertools
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -36,6 +36,9 @@ from metropilot.physics import (
     scalars,
 )
 from metropilot.protection import Rates as Guaranteed
+
+if TYPE_CHECKING:
+    from metropilot.env.assists import Assists
 
 AHEAD_M = (20.0, 50.0, 100.0, 200.0, 350.0, 600.0, 1000.0)
 FAR_M = (35.0, 75.0, 150.0, 275.0, 475.0, 800.0, 1500.0, 2200.0, 3500.0)
@@ -72,8 +75,7 @@ class _State(NamedTuple):
         acceleration_mps2: Acceleration over the last period.
         scheduled_s: Scheduled running time in force.
         command: Last command given.
-        work_share: Share of the brakes' work along the way that station-stop braking takes; 0: it is planned
-            with ``stop_mps2`` all the way.
+        assists: What limits the command and brakes to the stop.
     """
 
     rows: SectionRows
@@ -90,7 +92,7 @@ class _State(NamedTuple):
     acceleration_mps2: Scalar
     scheduled_s: Scalar
     command: Scalar
-    work_share: float
+    assists: Assists
 
 
 class FeatureContext(_State):
@@ -146,9 +148,9 @@ class FeatureContext(_State):
         """Times of ``coasting``, without the energy braked away and with the stop as it is planned."""
         way = self._way_m
         work = _along(self.stop_mps2) * (way[..., -1:] - way)
-        if self.work_share:
-            work = self.work_share * self.rows.stop_work_at(self.case, _along(self.position_m) + way)
-        top = self._highest_mps(work)
+        if self.assists.work_share:
+            work = self.assists.work_share * self.rows.stop_work_at(self.case, _along(self.position_m) + way)
+        top = self._highest_mps(work, self.assists.below_mps + self.rates.speed_error_mps)
         return _time_along(way, self.rows.xp.minimum(self._coast(0.5 * top * top), top[None]))
 
     @functools.cached_property
@@ -157,11 +159,12 @@ class FeatureContext(_State):
         xp, dtype = self.rows.xp, getattr(self.speed_mps, "dtype", float)
         return xp.asarray(COAST_SHARES, dtype) * xp.maximum(_along(self.left_m), 1.0)
 
-    def _highest_mps(self, stop_jpkg: Array) -> Array:
-        """Highest speeds on the way: permitted, and such that the work of the station stop is enough."""
+    def _highest_mps(self, stop_jpkg: Array, below_mps: Scalar = 0.0) -> Array:
+        """Highest speeds on the way: below the permitted, and such that the work of the stop is enough."""
         xp, at = self.rows.xp, _along(self.position_m) + self._way_m
         stop_mps = xp.sqrt(2.0 * xp.maximum(stop_jpkg, 0.0) + 1e-6)
-        return xp.minimum(self.rows.curve_at(PERMITTED_COLUMN, self.case, at), stop_mps)
+        permitted_mps = self.rows.curve_at(PERMITTED_COLUMN, self.case, at)
+        return xp.minimum(xp.maximum(permitted_mps - below_mps, 0.5 * permitted_mps), stop_mps)
 
     @functools.cached_property
     def _climb_jpkg(self) -> Array:
@@ -201,7 +204,7 @@ def feature_context(  # noqa: PLR0913 (the state of a run, field by field)
     acceleration_mps2: Array,
     scheduled_s: Array,
     command: Array,
-    work_share: float,
+    assists: Assists,
 ) -> FeatureContext:
     """Context of a state, in every engine that runs a policy. All numbers 0-d.
 
@@ -216,7 +219,7 @@ def feature_context(  # noqa: PLR0913 (the state of a run, field by field)
         acceleration_mps2: Acceleration over the last period.
         scheduled_s: Scheduled running time in force.
         command: Last command given.
-        work_share: Share of the brakes' work along the way that station-stop braking takes; 0: none.
+        assists: What limits the command and brakes to the stop.
     """
     # a compiled step holds only the pieces of the track around its position
     track = found.track if rows.xp is np else near_track(found.track, found.vehicle, position_m)
@@ -235,7 +238,7 @@ def feature_context(  # noqa: PLR0913 (the state of a run, field by field)
         acceleration_mps2=acceleration_mps2,
         scheduled_s=scheduled_s,
         command=command,
-        work_share=work_share,
+        assists=assists,
     )
 
 

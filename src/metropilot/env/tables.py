@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 from metropilot._typing import Array, Float, Index, Scalar
 from metropilot.physics import (
@@ -25,6 +27,7 @@ from metropilot.planning import interpolate_time_to_go, tabulate_time_to_go
 from metropilot.protection import (
     Bounds,
     Protection,
+    asks_for_less,
     guarantees_less,
     permitted_before_end,
     permitted_before_service,
@@ -70,6 +73,8 @@ STOP_STRETCH_M = 300.0
 STOP_USE = 0.95
 STOP_PASSES = 4
 LEAST_STOP_MPS2 = 0.03
+FADE_MPS, FADE_STEP_MPS = 1.5, 0.5
+"""Range of speed over which a brake that fades is taken at its weakest, and step of its table."""
 """Least deceleration that a stop is planned with."""
 LEAST_DRIVEN = 0.5
 """Least speed that errors of measurement leave, as a share of the permitted one."""
@@ -146,6 +151,9 @@ def _case(section: Section, trainset: Trainset, bounds: Bounds, spacing_m: float
         for most_mps in (permitted_before_service, permitted_before_end):
             permitted[:used] = np.minimum(permitted[:used], most_mps(protection, track, at))
         protection = protection._replace(permitted_mps=permitted)
+    most = protection.permitted_mps[:used]
+    if asks_for_less(trainset):
+        most = np.minimum(most, permitted_before_service(protection, track, at))
     gradient, curve, _ = mean_slopes(vehicle, track, at)
     weight = (vehicle.gravity_mps2 * gradient + curve) * spacing_m
     climb = np.concatenate([[0.0], np.cumsum(0.5 * (weight[1:] + weight[:-1]))])
@@ -155,7 +163,7 @@ def _case(section: Section, trainset: Trainset, bounds: Bounds, spacing_m: float
     minimum_s = table[-1, 0] if driven_track is track else tabulate_time_to_go(vehicle, track).time_s[-1, 0]
     pull = weight / spacing_m * float(vehicle.mass_kg) / float(vehicle.effective_mass_kg)
     work = _stop_work(vehicle, at, pull, section.length_m)
-    follow = _follow_mps(vehicle, at, pull, protection.permitted_mps[:used])
+    follow = _follow_mps(vehicle, at, pull, most)
     driven = np.maximum(follow - bounds.speed_error_mps, LEAST_DRIVEN * follow)
     braking_curves = np.stack(
         [work, follow, *_pace_times(at, np.minimum(driven, _stop_speed(work)), section.length_m)], axis=1
@@ -177,15 +185,25 @@ def _driven_track(track: Track, bounds: Bounds) -> Track:
 
 
 def _follow_mps(vehicle: Vehicle, at: np.ndarray, pull: np.ndarray, permitted: np.ndarray) -> np.ndarray:
-    """Highest speed at each node from which the service brake keeps under the permitted speed. Shape (N,)."""
-    able = STOP_USE * np.clip(
-        _sure_brake(vehicle) + pull, LEAST_STOP_MPS2, float(vehicle.max_deceleration_mps2)
+    """Highest speed at each node from which the service brake keeps under the permitted speed. Shape (N,).
+
+    A brake that fades counts with what it gives up to ``FADE_MPS`` above the speed at the next node.
+    """
+    speeds = np.arange(0.0, float(vehicle.max_speed_mps) + FADE_MPS + FADE_STEP_MPS, FADE_STEP_MPS)
+    brake = effort_at(vehicle, np.minimum(speeds, float(vehicle.max_speed_mps))).brake_n
+    sure = sliding_window_view(brake / float(vehicle.effective_mass_kg), int(FADE_MPS / FADE_STEP_MPS) + 1)
+    sure, last = sure.min(axis=1).tolist(), sure.shape[0] - 1
+    most = float(vehicle.max_deceleration_mps2)
+    energy, pull, way = (
+        (0.5 * permitted.astype(np.float64) ** 2).tolist(),
+        pull.tolist(),
+        np.diff(at).tolist(),
     )
-    energy = 0.5 * permitted.astype(np.float64) ** 2
-    gained = able[:-1] * np.diff(at)
     for k in range(at.size - 2, -1, -1):
-        energy[k] = min(energy[k], energy[k + 1] + gained[k])
-    return np.sqrt(2.0 * energy)
+        node = min(int(math.sqrt(2.0 * energy[k + 1]) / FADE_STEP_MPS), last)
+        able = STOP_USE * min(max(sure[node] + pull[k], LEAST_STOP_MPS2), most)
+        energy[k] = min(energy[k], energy[k + 1] + able * way[k])
+    return np.sqrt(2.0 * np.array(energy))
 
 
 def _stop_work(vehicle: Vehicle, at: np.ndarray, uphill: np.ndarray, length_m: float) -> np.ndarray:

@@ -234,7 +234,7 @@ class ClosedLoop:
             acceleration_mps2=plant.acceleration_mps2,
             scheduled_s=begin.scheduled_s,
             command=jnp.zeros((), jnp.float32),
-            work_share=self.assists.work_share,
+            assists=self.assists,
         )
 
         def choose(_: None, __: RunState) -> tuple[Command, None]:

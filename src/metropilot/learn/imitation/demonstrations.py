@@ -150,7 +150,7 @@ class DemonstrationGenerator:
             acceleration_mps2=nothing,
             scheduled_s=np.full_like(position_m, self.scheduled_s),
             command=nothing,
-            work_share=DOMAIN_ASSISTS.work_share,
+            assists=DOMAIN_ASSISTS,
         )
 
     def commands(self, plan: Plan, position_m: Float[ndarray, " states"]) -> Float[ndarray, " states"]:
