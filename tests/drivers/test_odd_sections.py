@@ -143,3 +143,14 @@ def test_a_hand_on_its_way_to_power_counts_before_the_stop(length_m, ratio):
     slow_to_build = replace(trainset, actuation=Actuation(0.0, 0.0, 0.68))
     done = driven(section_of(length_m, {0.0: 80.0}, {0.0: 8.0}), slow_to_build, ratio, "manual", dt=1.0)
     assert done.outcome is Outcome.ARRIVED
+
+
+@pytest.mark.parametrize("name", ["eitoe", "eitop"])
+def test_past_the_mark_a_fall_is_braked_not_only_balanced(name):
+    """A train 3 cm past the mark crept on at 3 cm/s for 80 s, until the end of its authority."""
+    trainset = load_trainset("de_desiro_classic")
+    quick = replace(trainset, actuation=Actuation(0.0, 0.0, 1.18))
+    section = section_of(461.3, {0.0: 99.0, 152.0: 60.0}, {0.0: -13.9})
+    done = driven(section, quick, 1.1, name, dt=0.1)
+    assert done.outcome is Outcome.ARRIVED
+    assert done.running_time_s - done.scheduled_time_s < 1.0

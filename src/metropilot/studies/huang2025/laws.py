@@ -801,7 +801,8 @@ def stop_share(
     stands = v <= 0.0 and distance < STOP_OPTIONS.inch_m
     if stands or (v < CREEPS_PAST_MPS and distance < -PAST_M):
         # past the mark so low a speed asks for less than the error of the resistance: it would creep on
-        holds = -max(curve.end_mps2, STOP_OPTIONS.hold_mps2)
+        # on a fall what holds on the level would only just balance it
+        holds = -max(curve.end_mps2, STOP_OPTIONS.hold_mps2, STOP_OPTIONS.hold_mps2 - ahead.resistance_mps2)
         gently = min(ahead.resistance_mps2 - STOP_OPTIONS.drop_share * ground.jerk_mps3 * dt, 0.0)
         return ahead.command_for(holds if stands else max(gently, holds)), True
     near_m = CRAWL_M + LATE_CRAWL_MPS * (actuation.seconds + actuation.lag_s)
