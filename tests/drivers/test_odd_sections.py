@@ -154,3 +154,29 @@ def test_past_the_mark_a_fall_is_braked_not_only_balanced(name):
     done = driven(section, quick, 1.1, name, dt=0.1)
     assert done.outcome is Outcome.ARRIVED
     assert done.running_time_s - done.scheduled_time_s < 1.0
+
+
+@pytest.mark.parametrize(
+    ("trainset", "ratio", "permil", "way_m"),
+    [("dkz32", 1.35, -36.0, 400.0), ("nl_intercity_virm6", 1.35, 30.0, 40.0)],
+)
+def test_a_policy_starts_however_little_it_asks_for(trainset, ratio, permil, way_m):
+    """Coasting sufficed on the fall, and no brake was let go; on the climb some traction did not move it."""
+    section = section_of(1800.0, {0.0: 27.0}, {0.0: permil, way_m: -permil, way_m + 200.0: -3.0})
+    done = driven(section, load_trainset(trainset), ratio, "generalist")
+    assert done.outcome is Outcome.ARRIVED
+    assert done.running_time_s - done.scheduled_time_s < 1.5
+
+
+@pytest.mark.parametrize("name", ["eitoe", "eitop"])
+def test_a_crawl_to_the_mark_takes_no_turns_of_full_power_and_brake(name):
+    """Far too late below 1 m/s, early above it: full power and the brake took turns up to the mark."""
+    late = replace(load_trainset("dkz32-contest"), actuation=Actuation(0.02, 0.55, np.inf))
+    section = section_of(1500.0, {0.0: 40.0}, {0.0: 0.0, 750.0: 7.0})
+    done = driven(section, late, 1.5, name, dt=0.5)
+    assert done.outcome is Outcome.ARRIVED
+    given = done.trajectory.command
+    left_m = section.length_m - done.trajectory.position_m[: given.size]
+    crawl = given[(left_m > 3.0) & (left_m < 12.0)]
+    assert crawl.max() < 0.7
+    assert crawl.min() > -0.5

@@ -30,6 +30,7 @@ from metropilot.env import (
     ceiling_mps2,
     feature_context,
     observe,
+    start,
     stop_options,
 )
 from metropilot.railway import Section, Trainset
@@ -187,6 +188,7 @@ class LearnedDriver(AbstractDriver):
         assists, monitor, dt = self.interface.assists, memory.monitor, memory.run.dt
         if monitor is None or ahead is None:
             return apply_assists(assists, context, command, memory.stopping, dt)
+        command = start(context, command)
         planned = self._planned_mps2(monitor, context.stop_mps2)
         stopping, share = mismatch.station_stop_braking(monitor, ahead, planned, bool(memory.stopping))
         if stopping:

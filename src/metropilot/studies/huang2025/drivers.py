@@ -91,6 +91,8 @@ HOA_STOP = StopOptions(lag_ramp=False)
 MARGIN_MPS, LATE_MARGIN_MPS, LATE_MARGIN_MPS2 = 0.25, 0.08, 0.25
 """Distance of the ceiling from the permitted speed. Where commands act late it is at least the second, and
 the third for each second of a period, in which the speed may rise unseen."""
+CRAWL_MPS, CRAWLS_M = 1.25, 30.0
+"""Highest speed of a crawl to the stop on a climb, and how near to it one is held."""
 TIGHT = 1.03
 """Time left over the least time below which no time is given away for a lower limit ahead."""
 
@@ -232,7 +234,7 @@ def decide(
     if not braking:
         seen = _rate_inputs(memory, observation, ahead, curve)
         wanted, known = change(seen)
-        rate = _rate(memory, seen, wanted)
+        rate = _creep(memory, ahead, _rate(memory, seen, wanted))
         effort = _keep_safe(memory, observation, ahead, rate)
         share = ahead.command_for(effort)
     supervision = memory.supervision
@@ -311,6 +313,19 @@ def _rate(memory: ExpertMemory, seen: RateInputs, change: float) -> float:
         change * part,
         seen.top_mps2,
     )
+
+
+def _creep(memory: ExpertMemory, ahead: PredictedState, rate_mps2: float) -> float:
+    """The rate of a trainset that creeps to the stop, on a climb before it: an even crawl.
+
+    To the window it is far too late when slower than ``CREEP_MPS`` and early when faster, so that full power
+    and the brake would take turns up to the mark.
+    """
+    v, left_m = ahead.speed_mps, memory.ground.length_m - ahead.position_m
+    if v >= CRAWL_MPS or left_m > CRAWLS_M:
+        return rate_mps2
+    most = ahead.resistance_mps2 + HOLD_PER_S * (CRAWL_MPS - v)
+    return min(max(rate_mps2, 0.0), max(most, 0.0))
 
 
 def _keep_safe(
