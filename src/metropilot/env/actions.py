@@ -24,8 +24,8 @@ EARLY_S = 0.2
 LEAST_GAINED_S = 0.05
 """Least time that the higher speed of ``FASTER_MPS`` gains."""
 RESERVE_SHARE = 0.03
-"""Time to spare over the flat-out time to the stop below which the trainset is late: what a drive loses at
-margins below limits and at releases of the brake."""
+"""Time to spare over the flat-out time to the stop below which the trainset is late, unless the limits ahead
+cost more: what a drive loses at margins below limits and at releases of the brake."""
 LATE_OVER_S = 0.5
 """Time to spare over which being late grows from none to whole."""
 FAR_S = 45.0
@@ -123,7 +123,9 @@ def urgency(context: FeatureContext) -> Scalar:
         context: State.
     """
     xp = context.xp
-    missing_s = RESERVE_SHARE * context.to_go_s - (context.left_s - context.to_go_s)
+    lost_s = context.rows.lost_s(context.case, context.position_m)
+    reserve_s = xp.maximum(RESERVE_SHARE * context.to_go_s, lost_s)
+    missing_s = reserve_s - (context.left_s - context.to_go_s)
     return xp.where(context.to_go_s > FAR_S, xp.clip(missing_s / LATE_OVER_S, 0.0, 1.0), 0.0 * missing_s)
 
 

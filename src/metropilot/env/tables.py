@@ -54,7 +54,7 @@ class SectionTables(NamedTuple):
         braking_curves: Braking curves at the same nodes: energy that the brakes surely dissipate from here
             to the stop, J/kg; speed from which they surely respect all permitted speeds ahead, m/s; and for
             each of ``PACES_MPS`` the time to the stop when that speed is held wherever these two curves
-            admit it, s.
+            admit it, s; and the time that a drive flat out loses on the way at lower limits, s.
     """
 
     vehicle: Vehicle
@@ -84,6 +84,8 @@ PACES_MPS = (3.0, 5.0, 7.0, 9.0, 11.0, 13.0, 15.0, 17.0, 19.5, 22.5, 26.5, 32.0)
 """Speeds for which the time to go is tabulated."""
 SLOWEST_MPS = 0.3
 """Least sum of the speeds at two nodes that a tabled time counts with."""
+LOST_MPS, LOST_SHARE = 0.16, 2.0
+"""Speed that a drive flat out stays below the limits, and delays by which it brakes early for a lower one."""
 PROTECTION_CURVES = ("emergency", "service", "permitted_mps", "pull_mps2", "usual_pull_mps2")
 """Protection's curves in ``SectionTables.node_curves``, in this order; the climb comes last."""
 PERMITTED_COLUMN, CLIMB_COLUMN = 2, 5
@@ -166,7 +168,13 @@ def _case(section: Section, trainset: Trainset, bounds: Bounds, spacing_m: float
     follow = _follow_mps(vehicle, at, pull, most)
     driven = np.maximum(follow - bounds.speed_error_mps, LEAST_DRIVEN * follow)
     braking_curves = np.stack(
-        [work, follow, *_pace_times(at, np.minimum(driven, _stop_speed(work)), section.length_m)], axis=1
+        [
+            work,
+            follow,
+            *_pace_times(at, np.minimum(driven, _stop_speed(work)), section.length_m),
+            _lost_s(at, follow, section.length_m, bounds),
+        ],
+        axis=1,
     )
     stop_mps2 = _stop_mps2(vehicle, track)
     lengths = minimum_s, section.length_m
@@ -239,6 +247,20 @@ def _pace_times(at: np.ndarray, most_mps: np.ndarray, length_m: float) -> list[n
         passed = np.concatenate([[0.0], np.cumsum(taken)])
         found.append(np.interp(length_m, at, passed) - passed)
     return found
+
+
+def _lost_s(at: np.ndarray, follow: np.ndarray, length_m: float, bounds: Bounds) -> np.ndarray:
+    """Time that a drive flat out loses between each node and the stop beyond the least, s. Shape (N,).
+
+    It stays below each limit, and begins to brake for a lower one earlier by some control periods and by
+    what a command is late. Fitted to 112 drives on random sections, see ``docs/decisions/0024``.
+    """
+    slower = np.maximum(0.5 * (follow[1:] + follow[:-1]), SLOWEST_MPS)
+    falls = np.maximum(follow[:-1] - follow[1:], 0.0) / np.maximum(follow[1:], SLOWEST_MPS)
+    late_s = bounds.dt_s + bounds.delay_s + bounds.lag_s
+    lost = LOST_MPS * np.diff(at) / (slower * slower) + LOST_SHARE * late_s * falls
+    passed = np.concatenate([[0.0], np.cumsum(lost)])
+    return np.maximum(np.interp(length_m, at, passed) - passed, 0.0)
 
 
 def _sure_brake(vehicle: Vehicle) -> float:
@@ -402,8 +424,14 @@ class SectionRows:
         Shape (..., paces).
         """
         node, way = self.node(case, position_m)
-        here, after = self.braking_curves[case, node, 2:], self.braking_curves[case, node + 1, 2:]
+        here, after = self.braking_curves[case, node, 2:-1], self.braking_curves[case, node + 1, 2:-1]
         return here + (after - here) * (way[..., None] if np.ndim(way) or self.xp is not np else way)
+
+    def lost_s(self, case: Index, position_m: Scalar) -> Scalar:
+        """Time that a drive flat out loses at the limits ahead, beyond :meth:`to_go_s`, s."""
+        node, way = self.node(case, position_m)
+        here, after = self.braking_curves[case, node, -1], self.braking_curves[case, node + 1, -1]
+        return here + (after - here) * way
 
     def to_go_s(self, case: Index, distance_m: Scalar, length_m: Scalar, speed_mps: Scalar) -> Scalar:
         """Flat-out time to the stop, s."""
