@@ -188,8 +188,8 @@ def largest_admissible_command(
     """Largest command up to ``share`` that protection admits, and the memory of protection after it.
 
     A late command counts as long as it is on its way. One that is admitted now but would not let full braking
-    pass on that way is too large. Where full braking now would only just pass, it is the command; where it
-    would not pass either, there is no traction.
+    pass on that way is too large. Where full braking now would hardly pass, or not at all, it is the
+    command: anything less only brings the intervention nearer.
 
     Args:
         guard: Protection of the section.
@@ -214,11 +214,7 @@ def largest_admissible_command(
     least, _ = decide(-1.0)
     if admits(-1.0, least):
         return _largest_between(decide, admits, share, least)
-    if admits_braking(guard, least, *look(-1.0), spare_mps=0.0):
-        return -1.0, least
-    share = min(share, 0.0)
-    after, passes = decide(share)
-    return (share, after) if passes else _largest_between(decide, lambda _command, _after: True, share, least)
+    return -1.0, least
 
 
 def ask_protection(

@@ -119,7 +119,6 @@ def admits_braking(
     memory: Memory,
     position_m: Float[np.ndarray, " periods"],
     speed_mps: Float[np.ndarray, " periods"],
-    spare_mps: Scalar = EXPECTED_MPS,
 ) -> bool:
     """Tell if full braking would pass in each of the coming periods, whatever is still on its way (NumPy).
 
@@ -132,7 +131,6 @@ def admits_braking(
         memory: After the last command; as many periods as it remembers commands can be told.
         position_m: Position expected at the end of each period.
         speed_mps: Speed expected there.
-        spare_mps: Speed to allow on top of the expected one.
     """
     if isinstance(position_m, np.ndarray) and _far_below(
         protection, memory, position_m, float(speed_mps.max())
@@ -152,7 +150,7 @@ def admits_braking(
     for each in upheld[:-1]:
         gained.append(np.maximum(each, gained[-1] - fades))
     check.fading = np.stack(gained)[:, None] - fades
-    margin = spare_mps + protection.rates.speed_error_mps
+    margin = EXPECTED_MPS + protection.rates.speed_error_mps
     return bool(check.passes(bound, margin).all())
 
 
