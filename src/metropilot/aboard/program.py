@@ -227,7 +227,8 @@ def _policy(
     import jax.numpy as jnp
 
     interface, policy = loaded.interface, loaded.policy.policy
-    tables = build_tables([(each, trainset, bounds) for each in sections], interface.spacing_m, dtype)
+    cases = [(each, trainset, bounds) for each in sections]
+    tables = build_tables(cases, interface.spacing_m, dtype, fading=interface.action.fading)
     load = np.full(len(sections), trainset.mass_kg / interface.mean_mass_kg, dtype)
     seen = SectionRows(tables._replace(load=load), jax=True)
     kind = Kind(policy.spec, interface, dt_s, GUARD_SPACING_M)

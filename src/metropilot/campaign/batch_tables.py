@@ -101,7 +101,8 @@ def feature_tables(interface: PolicyInterface, section: Section, run: Run) -> Se
     nominal = run.disturbance.nominal(run.trainset)
     case = (section, nominal, declared_bounds(run))
     tables: SectionTables = jax.tree.map(
-        lambda a: a[0], build_tables([case], interface.spacing_m, np.float64)
+        lambda a: a[0],
+        build_tables([case], interface.spacing_m, np.float64, fading=interface.action.fading),
     )
     guard = tables.protection._replace(ahead=np.zeros(1, np.int32), slots=np.zeros(1))
     load = np.float64(nominal.mass_kg / interface.mean_mass_kg)

@@ -565,10 +565,9 @@ def motion_if_braked_later(
     a, jerk = xp.maximum(acceleration_mps2, 0.0), curve.build_jerk_mps3 / options.build_share
     rise = xp.minimum(jerk, AT_ONCE_MPS3) * dt
     grown = xp.minimum(a + rise, most_mps2)
-    at_once = jerk >= AT_ONCE_MPS3
-    builds_up = ~at_once & (a > 0.5 * rise) & (grown - a > 0.5 * rise)
+    builds_up = (jerk < AT_ONCE_MPS3) & (a > 0.5 * rise) & (grown - a > 0.5 * rise)
     rate = xp.where(builds_up, grown, a)
-    speed = xp.where(builds_up | at_once, speed_mps + rate * dt, speed_mps)
+    speed = xp.where(builds_up, speed_mps + rate * dt, speed_mps)
     return speed, xp.where(builds_up, rate, acceleration_mps2), (speed_mps + 0.5 * rate * dt) * dt
 
 
@@ -591,6 +590,9 @@ def required_later(
     moving = ahead.speed_mps, ahead.acceleration_mps2
     most = ahead.traction_mps2 - ahead.resistance_mps2 - ahead.gradient_mps2
     speed, acceleration, way_m = motion_if_braked_later(*moving, most, curve, dt, options)
+    if curve.build_jerk_mps3 >= AT_ONCE_MPS3:
+        # a long period of traction that ends at once adds speed, too (assists were learned without)
+        speed = ahead.speed_mps + max(ahead.acceleration_mps2, 0.0) * dt
     return float(required_with_build_up(speed, acceleration, distance_m - way_m, curve, 0.0, options)[0])
 
 

@@ -30,7 +30,6 @@ from metropilot.env import (
     ceiling_mps2,
     feature_context,
     observe,
-    start,
     stop_options,
 )
 from metropilot.railway import Section, Trainset
@@ -188,7 +187,6 @@ class LearnedDriver(AbstractDriver):
         assists, monitor, dt = self.interface.assists, memory.monitor, memory.run.dt
         if monitor is None or ahead is None:
             return apply_assists(assists, context, command, memory.stopping, dt)
-        command = start(context, command)
         planned = self._planned_mps2(monitor, context.stop_mps2)
         stopping, share = mismatch.station_stop_braking(monitor, ahead, planned, bool(memory.stopping))
         if stopping:
@@ -212,9 +210,8 @@ class LearnedDriver(AbstractDriver):
 
     def _tables(self, run: Run, section: Section, trainset: Trainset) -> SectionTables:
         """One section and a trainset, in float64."""
-        tables = build_tables(
-            [(section, trainset, declared_bounds(run))], self.interface.spacing_m, np.float64
-        )
+        interface, case = self.interface, (section, trainset, declared_bounds(run))
+        tables = build_tables([case], interface.spacing_m, np.float64, fading=interface.action.fading)
         return tables._replace(load=np.array([trainset.mass_kg / self.interface.mean_mass_kg]))
 
     def _set_section(self, memory: LearnedMemory, section: Section) -> LearnedMemory:

@@ -10,7 +10,6 @@ from .actions import urgency as urgency
 from .assists import Assists as Assists
 from .assists import apply_assists as apply_assists
 from .assists import ceiling_mps2 as ceiling_mps2
-from .assists import start as start
 from .assists import stop_options as stop_options
 from .config import DOMAIN_ASSISTS as DOMAIN_ASSISTS
 from .config import DOMAIN_OBSERVER as DOMAIN_OBSERVER

@@ -14,6 +14,7 @@ import numpy as np
 
 from metropilot._registry import Registry, RegistryRow
 from metropilot._typing import Array, Bool, Num, Scalar
+from metropilot.control import STOP_OPTIONS
 from metropilot.env.features import FASTER_MPS, FeatureContext
 from metropilot.env.interface import ActionSpace
 from metropilot.errors import InputError
@@ -30,6 +31,10 @@ LATE_OVER_S = 0.5
 """Time to spare over which being late grows from none to whole."""
 FAR_S = 45.0
 """Flat-out time to the stop from which on that says something: nearer all drives have little to spare."""
+
+
+STANDING_MPS, STARTS_MPS2, STARTS_SHARE = 0.1, 0.3, 0.05
+"""A trainset slower than this before the stop is started: so fast, and with traction even on a fall."""
 
 
 class AbstractAction(ABC):
@@ -55,6 +60,11 @@ class AbstractAction(ABC):
             action: Shape (size,), or an integer choice of shape ().
             period_s: Time between two decisions.
         """
+
+    @property
+    def fading(self) -> bool:
+        """Limits are approached with what a fading brake gives at each speed; by default its weakest."""
+        return False
 
     def action_mask(self, context: FeatureContext, period_s: float) -> Bool[Array, " choices"] | None:
         """Mask of the choices allowed in a context. None: all."""
@@ -129,6 +139,24 @@ def urgency(context: FeatureContext) -> Scalar:
     return xp.where(context.to_go_s > FAR_S, xp.clip(missing_s / LATE_OVER_S, 0.0, 1.0), 0.0 * missing_s)
 
 
+def start(context: FeatureContext, command: Scalar) -> Scalar:
+    """Command that leaves no trainset standing before the stop.
+
+    One that stands is held until there is traction, on a fall too; on a climb some traction is too little.
+
+    Args:
+        context: State.
+        command: Command wanted.
+    """
+    xp = context.xp
+    stands = (context.speed_mps <= STANDING_MPS) & (context.left_m > STOP_OPTIONS.inch_m)
+    if xp is scalars and not stands:
+        # one state on the host, nearly always in motion
+        return command
+    least = xp.maximum(context.effort_limits.command_for(STARTS_MPS2), STARTS_SHARE)
+    return xp.where(stands, xp.maximum(command, least), command)
+
+
 @final
 @dataclass(frozen=True)
 class RegimeAction(AbstractAction):
@@ -140,8 +168,8 @@ class RegimeAction(AbstractAction):
     Attributes:
         coast: Absolute action up to which the trainset coasts.
         full: Absolute action from which effort is full.
-        needed: No more traction than coasting from then on needs to arrive in time, and full traction where
-            even flat out is only just in time.
+        needed: No more traction than coasting from then on needs to arrive in time, full traction where even
+            flat out is only just in time, and enough to depart.
     """
 
     kind = "regime"
@@ -160,6 +188,11 @@ class RegimeAction(AbstractAction):
         """Action space of one number."""
         return ActionSpace(size=1)
 
+    @property
+    def fading(self) -> bool:
+        """With the rules: they know what the time left admits; policies learned without."""
+        return self.needed
+
     def command(self, context: FeatureContext, action: Num[Array, "*actions"], period_s: float) -> Scalar:
         """Return 0 in the dead zone, then a linear rise to full effort."""
         xp = context.xp
@@ -170,10 +203,10 @@ class RegimeAction(AbstractAction):
         urgent = urgency(context)
         # of one state on the host nothing is forecast that would not be used
         if xp is scalars and not (command > 0.0 or urgent > 0.0):
-            return command
+            return start(context, command)
         most = needed_traction(context, period_s)
         least = xp.where(urgent > 0.0, xp.minimum(urgent, most), -1.0)
-        return xp.maximum(xp.where(command > 0.0, xp.minimum(command, most), command), least)
+        return start(context, xp.maximum(xp.where(command > 0.0, xp.minimum(command, most), command), least))
 
 
 @final

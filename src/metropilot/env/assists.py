@@ -16,7 +16,6 @@ from types import MappingProxyType
 from metropilot._typing import Flag, Index, Scalar
 from metropilot.control import (
     AT_ONCE_MPS3,
-    STOP_OPTIONS,
     STRONGEST_MPS2,
     StopOptions,
     braking_distance,
@@ -37,8 +36,6 @@ LET_GO_SHARE = 0.75
 LAST_M = 1.0
 """Nearer to the stop than this the station stop is not given up again."""
 SHORTEST_M = 0.5
-STANDING_MPS, STARTS_MPS2, STARTS_SHARE = 0.1, 0.3, 0.05
-"""A trainset slower than this before the stop is started: so fast, and with traction even on a fall."""
 SHARED_M = 10.0
 """Nearer to the stop the deceleration asked for is what it is."""
 
@@ -155,7 +152,6 @@ def apply_assists(
     if not (assists.stop or assists.ceiling):
         return command, stopping
     xp, limits = context.xp, context.effort_limits
-    command = start(context, command)
     if assists.stop_mps2 > 0.0:
         context = context._replace(stop_mps2=assists.stop_mps2 + 0.0 * context.speed_mps)
     ceiling = command
@@ -175,24 +171,6 @@ def apply_assists(
         highest = xp.where(entering, xp.minimum(highest, command), highest)
         command = xp.where(stopping, highest, command)
     return command, stopping
-
-
-def start(context: FeatureContext, command: Scalar) -> Scalar:
-    """Command that leaves no trainset standing before the stop, whatever the policy wants.
-
-    One that stands is held until there is traction, on a fall too; on a climb some traction is too little.
-
-    Args:
-        context: What the driver sees.
-        command: The policy's command.
-    """
-    xp = context.xp
-    stands = (context.speed_mps <= STANDING_MPS) & (context.left_m > STOP_OPTIONS.inch_m)
-    if xp is scalars and not stands:
-        # one state on the host, nearly always in motion
-        return command
-    least = xp.maximum(context.effort_limits.command_for(STARTS_MPS2), STARTS_SHARE)
-    return xp.where(stands, xp.maximum(command, least), command)
 
 
 def ceiling_at(assists: Assists, rows: SectionRows, case: Index, position_m: Scalar) -> Scalar:

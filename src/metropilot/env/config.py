@@ -106,7 +106,7 @@ class DrivingConfig:
             (s, t) for section, t in self.cases for s in self.scenarios.restricted_sections(section)
         ]
         bounded = [(s, t, self.scenarios.bounds(s, t, self.dt)) for s, t in (*self.cases, *restricted)]
-        return build_tables(bounded, self.spacing_m, dtype, jobs)
+        return build_tables(bounded, self.spacing_m, dtype, jobs, fading=self.action.fading)
 
 
 @dataclass(frozen=True)

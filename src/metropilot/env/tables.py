@@ -96,6 +96,8 @@ def build_tables(
     spacing_m: float,
     dtype: type = np.float32,
     jobs: int = 1,
+    *,
+    fading: bool = False,
 ) -> SectionTables:
     """Build the tables of the cases (NumPy).
 
@@ -104,9 +106,10 @@ def build_tables(
         spacing_m: Distance between protection's nodes.
         dtype: Number type.
         jobs: Number of processes; 0: one a core.
+        fading: See :attr:`metropilot.env.AbstractAction.fading`.
     """
     masses = [trainset.mass_kg for _, trainset, _ in cases]
-    rows = _rows(cases, spacing_m, jobs)
+    rows = _rows(cases, spacing_m, jobs, fading=fading)
     vehicles, tracks, protections, node_curves, tables, least, lengths, stops, braking = zip(
         *rows, strict=True
     )
@@ -129,17 +132,21 @@ def build_tables(
     return _map_tree(lambda a: a if a.dtype.kind in "iub" else a.astype(dtype), whole)
 
 
-def _rows(cases: Sequence[tuple[Section, Trainset, Bounds]], spacing_m: float, jobs: int) -> list[Any]:
+def _rows(
+    cases: Sequence[tuple[Section, Trainset, Bounds]], spacing_m: float, jobs: int, *, fading: bool
+) -> list[Any]:
     """Rows of the cases, computed in several processes for thousands of cases."""
     if jobs == 1:
-        return [_case(*case, spacing_m) for case in cases]
+        return [_case(*case, spacing_m, fading=fading) for case in cases]
     from joblib import Parallel, cpu_count, delayed
 
     pool = Parallel(n_jobs=jobs or cpu_count())
-    return list(pool(delayed(_case)(*case, spacing_m) for case in cases))
+    return list(pool(delayed(_case)(*case, spacing_m, fading=fading) for case in cases))
 
 
-def _case(section: Section, trainset: Trainset, bounds: Bounds, spacing_m: float) -> tuple[Any, ...]:
+def _case(
+    section: Section, trainset: Trainset, bounds: Bounds, spacing_m: float, *, fading: bool
+) -> tuple[Any, ...]:
 
     vehicle, track = vehicle_arrays(trainset), track_arrays(section, trainset)
     most = usable_deceleration(section, trainset, bounds)
@@ -154,7 +161,7 @@ def _case(section: Section, trainset: Trainset, bounds: Bounds, spacing_m: float
             permitted[:used] = np.minimum(permitted[:used], most_mps(protection, track, at))
         protection = protection._replace(permitted_mps=permitted)
     most = protection.permitted_mps[:used]
-    if asks_for_less(trainset):
+    if fading and asks_for_less(trainset):
         most = np.minimum(most, permitted_before_service(protection, track, at))
     gradient, curve, _ = mean_slopes(vehicle, track, at)
     weight = (vehicle.gravity_mps2 * gradient + curve) * spacing_m
@@ -165,7 +172,7 @@ def _case(section: Section, trainset: Trainset, bounds: Bounds, spacing_m: float
     minimum_s = table[-1, 0] if driven_track is track else tabulate_time_to_go(vehicle, track).time_s[-1, 0]
     pull = weight / spacing_m * float(vehicle.mass_kg) / float(vehicle.effective_mass_kg)
     work = _stop_work(vehicle, at, pull, section.length_m)
-    follow = _follow_mps(vehicle, at, pull, most)
+    follow = _follow_mps(vehicle, at, pull, most, fading=fading)
     driven = np.maximum(follow - bounds.speed_error_mps, LEAST_DRIVEN * follow)
     braking_curves = np.stack(
         [
@@ -192,15 +199,19 @@ def _driven_track(track: Track, bounds: Bounds) -> Track:
     return track._replace(limit_mps=np.maximum(most - 2.0 * bounds.speed_error_mps, LEAST_DRIVEN * most))
 
 
-def _follow_mps(vehicle: Vehicle, at: np.ndarray, pull: np.ndarray, permitted: np.ndarray) -> np.ndarray:
+def _follow_mps(
+    vehicle: Vehicle, at: np.ndarray, pull: np.ndarray, permitted: np.ndarray, *, fading: bool
+) -> np.ndarray:
     """Highest speed at each node from which the service brake keeps under the permitted speed. Shape (N,).
 
-    A brake that fades counts with what it gives up to ``FADE_MPS`` above the speed at the next node.
+    A brake that fades counts at its weakest, or (``fading``) with what it gives up to ``FADE_MPS`` above the
+    speed at the next node.
     """
     speeds = np.arange(0.0, float(vehicle.max_speed_mps) + FADE_MPS + FADE_STEP_MPS, FADE_STEP_MPS)
     brake = effort_at(vehicle, np.minimum(speeds, float(vehicle.max_speed_mps))).brake_n
     sure = sliding_window_view(brake / float(vehicle.effective_mass_kg), int(FADE_MPS / FADE_STEP_MPS) + 1)
-    sure, last = sure.min(axis=1).tolist(), sure.shape[0] - 1
+    least = np.full(sure.shape[0], _sure_brake(vehicle))
+    sure, last = (sure.min(axis=1) if fading else least).tolist(), sure.shape[0] - 1
     most = float(vehicle.max_deceleration_mps2)
     energy, pull, way = (
         (0.5 * permitted.astype(np.float64) ** 2).tolist(),
