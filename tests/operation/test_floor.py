@@ -91,7 +91,7 @@ def test_the_floor_of_the_planned_times_holds_for_every_offset():
     assert floor_j > zone_floor_j(line, floors(), windows=True)
     for kind in (0, 1, 2):
         driven = [kinds[kind] for kinds in drivings()]
-        for offset_s in np.arange(0.0, 400.0, 13.4):
+        for offset_s in np.arange(0.0, 400.0, 6.7):
             assert line.energy(line.plain_timetable(offset_s), driven).supplied_j > floor_j
 
 

@@ -580,6 +580,9 @@ def required_later(
 ) -> float:
     """:func:`required_with_build_up` if braking waits another period (see :func:`motion_if_braked_later`).
 
+    Without a jerk limit the speed that traction adds in that period counts, too: none of it is taken back
+    while traction dies away. (The assists of policies leave it out, as they were learned.)
+
     Args:
         ahead: State when a command given now begins to act.
         distance_m: Distance to the target from there.
@@ -591,7 +594,6 @@ def required_later(
     most = ahead.traction_mps2 - ahead.resistance_mps2 - ahead.gradient_mps2
     speed, acceleration, way_m = motion_if_braked_later(*moving, most, curve, dt, options)
     if curve.build_jerk_mps3 >= AT_ONCE_MPS3:
-        # a long period of traction that ends at once adds speed, too (assists were learned without)
         speed = ahead.speed_mps + max(ahead.acceleration_mps2, 0.0) * dt
     return float(required_with_build_up(speed, acceleration, distance_m - way_m, curve, 0.0, options)[0])
 

@@ -63,7 +63,7 @@ class AbstractAction(ABC):
 
     @property
     def fading(self) -> bool:
-        """Limits are approached with what a fading brake gives at each speed; by default its weakest."""
+        """True where tables count a brake that fades with what it gives at each speed, not its weakest."""
         return False
 
     def action_mask(self, context: FeatureContext, period_s: float) -> Bool[Array, " choices"] | None:
@@ -190,7 +190,7 @@ class RegimeAction(AbstractAction):
 
     @property
     def fading(self) -> bool:
-        """With the rules: they know what the time left admits; policies learned without."""
+        """With the rules, as the generalist drives; what other policies learned with stays as it was."""
         return self.needed
 
     def command(self, context: FeatureContext, action: Num[Array, "*actions"], period_s: float) -> Scalar:

@@ -147,7 +147,6 @@ def _rows(
 def _case(
     section: Section, trainset: Trainset, bounds: Bounds, spacing_m: float, *, fading: bool
 ) -> tuple[Any, ...]:
-
     vehicle, track = vehicle_arrays(trainset), track_arrays(section, trainset)
     most = usable_deceleration(section, trainset, bounds)
     vehicle = vehicle._replace(max_deceleration_mps2=np.float64(most))
@@ -160,9 +159,10 @@ def _case(
         for most_mps in (permitted_before_service, permitted_before_end):
             permitted[:used] = np.minimum(permitted[:used], most_mps(protection, track, at))
         protection = protection._replace(permitted_mps=permitted)
-    most = protection.permitted_mps[:used]
+    permitted = protection.permitted_mps[:used]
     if fading and asks_for_less(trainset):
-        most = np.minimum(most, permitted_before_service(protection, track, at))
+        # the brake at low speed is stronger than the service brake that protection reckons with
+        permitted = np.minimum(permitted, permitted_before_service(protection, track, at))
     gradient, curve, _ = mean_slopes(vehicle, track, at)
     weight = (vehicle.gravity_mps2 * gradient + curve) * spacing_m
     climb = np.concatenate([[0.0], np.cumsum(0.5 * (weight[1:] + weight[:-1]))])
@@ -172,7 +172,7 @@ def _case(
     minimum_s = table[-1, 0] if driven_track is track else tabulate_time_to_go(vehicle, track).time_s[-1, 0]
     pull = weight / spacing_m * float(vehicle.mass_kg) / float(vehicle.effective_mass_kg)
     work = _stop_work(vehicle, at, pull, section.length_m)
-    follow = _follow_mps(vehicle, at, pull, most, fading=fading)
+    follow = _follow_mps(vehicle, at, pull, permitted, fading=fading)
     driven = np.maximum(follow - bounds.speed_error_mps, LEAST_DRIVEN * follow)
     braking_curves = np.stack(
         [
