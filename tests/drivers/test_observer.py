@@ -14,8 +14,8 @@ from metropilot.control import (
     update_estimate,
 )
 from metropilot.physics import Command, at_rest, delay_steps, step, track_arrays, vehicle_arrays
-from metropilot.protection import Bounds, at_start, protect
-from metropilot.railway import load_line, load_trainset
+from metropilot.protection import Bounds, at_start, periods_in_effect, protect
+from metropilot.railway import Actuation, Steps, load_line, load_trainset
 from metropilot.sim import Disturbance
 
 DT = 0.2
@@ -150,28 +150,51 @@ def test_look_ahead_reaches_the_end_of_a_dead_time_between_the_periods(delay_s, 
 def test_look_along_predicts_the_path_of_the_commands_on_their_way():
     late = replace(load_trainset("dkz32"), actuation=replace(load_trainset("dkz32").actuation, delay_s=0.6))
     section = load_line("yizhuang").section("RC", "RJ")
-    model = Model(vehicle_arrays(late), track_arrays(section, late), DT)
-    memory = at_start(protect(section, late, Bounds.of(late, DT)))
-    state = at_rest(model.vehicle, delay_steps=delay_steps(0.6, DT))
+    follow_path(late, section, places_m=0.02, speeds_mps=0.01)
+
+
+def test_look_along_sees_the_gradient_ahead_not_that_underneath():
+    """A point mass passes a step of the gradient at once, in the midst of the dead time."""
+    late = replace(load_trainset("cn_beijing_subway"), actuation=Actuation(0.9, 0.0, 1.0))
+    section = load_line("yizhuang").section("RC", "RJ")
+    places = np.arange(-500.0, 3000.0, 12.0)
+    steep = Steps(places, np.resize([27.0, -27.0], places.size))
+    follow_path(late, replace(section, gradient_permil=steep), places_m=0.05, speeds_mps=0.08)
+
+
+def follow_path(trainset, section, places_m, speeds_mps):
+    """Drive some commands, and compare the way after them with the one expected."""
+    guard = protect(section, trainset, Bounds.of(trainset, DT))
+    model, memory = Model(vehicle_arrays(trainset), track_arrays(section, trainset), DT), at_start(guard)
+    delay_s = trainset.actuation.delay_s
+    state = at_rest(model.vehicle, delay_steps=delay_steps(delay_s, DT))
     estimate, look, commands = initial_estimate(model), None, [*COMMANDS[:40], 0.2, -0.4, 0.7]
     for command in commands:
         seen = float(state.position_m), float(state.speed_mps), float(state.acceleration_mps2)
         estimate = update_estimate(model, estimate, *seen)
-        look = look_along(model, estimate, memory)
+        look = look_along(model, estimate, periods_in_effect(guard, memory))
         estimate = record_command(estimate, command)
         state = step(model.vehicle, model.track, state, Command(np.float64(command), False), DT)
     path = look(commands[-1])
-    assert path.shape == (2, 4)
+    assert path.shape == (2, 1 + round(delay_s / DT + 0.4999))
     for place, speed in path.T:
-        assert place == pytest.approx(float(state.position_m), abs=0.02)
-        assert speed == pytest.approx(float(state.speed_mps), abs=0.01)
+        assert place == pytest.approx(float(state.position_m), abs=places_m)
+        assert speed == pytest.approx(float(state.speed_mps), abs=speeds_mps)
         state = step(model.vehicle, model.track, state, Command(np.float64(-1.0), False), DT)
+
+
+def test_a_command_is_in_effect_for_its_dead_time_and_as_a_lag_lets_go_of_it():
+    section = load_line("yizhuang").section("RC", "RJ")
+
+    def periods(trainset):
+        guard = protect(section, trainset, Bounds.of(trainset, DT))
+        return periods_in_effect(guard, at_start(guard))
+
     at_once = load_trainset("dkz32")
-    memory = at_start(protect(section, at_once, Bounds.of(at_once, DT)))
-    assert look_along(model, estimate, memory)(-1.0).shape == (2, 1)
-    abrupt = at_once.ideal()
-    model = Model(vehicle_arrays(abrupt), track_arrays(section, abrupt), DT)
-    assert look_along(model, estimate, memory)(-1.0).shape == (2, 1)
+    assert periods(at_once) == periods(at_once.ideal()) == 1
+    assert periods(replace(at_once, actuation=replace(at_once.actuation, delay_s=0.6))) == 4
+    # after 0.65 s there is still a third of what a lag of 0.6 s had, after a second less than a fifth
+    assert periods(replace(at_once, actuation=replace(at_once.actuation, lag_s=0.6))) == 6
 
 
 def test_share_for_gives_the_acceleration_asked_for():

@@ -194,3 +194,25 @@ def test_a_line_of_many_limits_is_driven_in_time_for_what_they_cost():
     done = driven(section, slow(0.6, delay_s=0.9, lag_s=0.2), 1.08, "generalist")
     assert done.outcome is Outcome.ARRIVED
     assert done.running_time_s - done.scheduled_time_s < 1.0
+
+
+@pytest.mark.parametrize("name", ["eitoe", "eitop"])
+def test_the_way_that_a_lag_takes_counts_before_a_stop_on_a_fall(name):
+    """They began to brake a period late and stood 0.8 and 1.2 m beyond the mark."""
+    trainset = load_trainset("ch_stadler_kiss_sbb")
+    trainset = replace(trainset, actuation=Actuation(0.9, 0.59, trainset.actuation.jerk_limit_mps3))
+    done = driven(section_of(600.0, {0.0: 27.6}, {0.0: 0.0, 150.0: -21.5}), trainset, 1.15, name, dt=0.5)
+    assert done.outcome is Outcome.ARRIVED
+    assert done.interventions == 0
+    assert abs(float(done.trajectory.position_m[-1]) - 600.0) < 0.1
+
+
+@pytest.mark.parametrize("name", ["optimal", "generalist", "eitoe", "flat_out"])
+def test_what_a_lag_lets_go_of_late_counts_before_a_fall(name):
+    """A point mass at its limit on a climb: traction that still acts when the fall begins is overruled."""
+    trainset = load_trainset("cn_beijing_subway")
+    trainset = replace(trainset, actuation=Actuation(0.15, 0.56, 0.74))
+    steps = {place: 28.0 if place % 600 else -40.0 for place in range(0, 2400, 300)}
+    done = driven(section_of(2400.0, {0.0: 80.0}, steps), trainset, 1.05, name, dt=0.1)
+    assert done.outcome is Outcome.ARRIVED
+    assert done.interventions == 0

@@ -15,6 +15,7 @@ from metropilot.protection import (
     Bounds,
     admits_braking,
     at_start,
+    periods_in_effect,
     permitted_speed,
     protect,
     supervise,
@@ -66,9 +67,16 @@ STEEP = replace(
     limit_mps=Steps(np.array([-500.0]), np.array([8.1])),
 )
 SHORT = replace(load_trainset("cn_beijing_subway"), actuation=Actuation(0.35, 0.56, 0.54))
+FAST = replace(
+    SECTION,
+    gradient_permil=Steps(np.arange(-500.0, 3000.0, 120.0), np.resize([20.0, -40.0], 30)),
+    limit_mps=Steps(np.array([-500.0]), np.array([24.0])),
+)
 
 
-@pytest.mark.parametrize(("section", "trainset", "below_mps"), [(SECTION, LATE, 0.6), (STEEP, SHORT, 1.0)])
+@pytest.mark.parametrize(
+    ("section", "trainset", "below_mps"), [(SECTION, LATE, 0.6), (STEEP, SHORT, 1.0), (FAST, SHORT, 2.5)]
+)
 def test_full_braking_over_a_path_is_told_as_period_by_period(section, trainset, below_mps):
     """Near a limit, with traction on its way: the answer for all periods is that for each of them."""
     guard, rng, told = protect(section, trainset, Bounds.of(trainset, DT)), np.random.default_rng(3), []
@@ -80,15 +88,20 @@ def test_full_braking_over_a_path_is_told_as_period_by_period(section, trainset,
                 return False
         return True
 
-    for _ in range(100):
+    rises = np.flatnonzero(np.diff(guard.pull_mps2) > 0.05)
+    before_fall_m = guard.start_m + guard.spacing_m * rises[(rises > 200) & (rises < 2000)]
+    for number in range(300):
         x, share = rng.uniform(200.0, 2000.0), rng.uniform(0.0, 0.6)
+        if before_fall_m.size > 0 and number % 2 == 0:
+            # what falls ahead begins to count in the first period
+            x = float(rng.choice(before_fall_m)) - rng.uniform(0.0, 6.0)
         v = float(permitted_speed(guard, np.float64(x))) - rng.uniform(0.0, below_mps)
-        before = at_start(guard, share=0.0)
+        before = at_start(guard, share=share)
         _, after, verdict = supervise(guard, before, x, v, Command(np.float64(share), False))
         if verdict.level > 0:
             continue
-        count = after.recent.size - 1
-        speeds = v + rng.uniform(-0.2, 1.0) * DT * np.arange(1, count + 1)
+        count = periods_in_effect(guard, after) - 1
+        speeds = v + rng.uniform(-0.2, 1.0) * DT * np.minimum(np.arange(1, count + 1), after.recent.size)
         path = np.array([x + np.cumsum(speeds) * DT, speeds])
         told.append(admits_braking(guard, after, *path))
         # it allows for an error of the expected speeds of 0.02 m/s

@@ -27,6 +27,7 @@ from metropilot.protection import (
     asks_for_less,
     guarantees_less,
     on_grid,
+    periods_in_effect,
     permitted_before_end,
     permitted_before_service,
     permitted_speed,
@@ -235,7 +236,7 @@ def ask_protection(
         observation: Measurements of this period.
         share: Wanted command in [-1, 1].
     """
-    look = look_along(model, estimate, supervision)
+    look = look_along(model, estimate, periods_in_effect(guard, supervision))
     seen = observation.position_m, observation.speed_mps
     return largest_admissible_command(guard, supervision, *seen, share, look)
 

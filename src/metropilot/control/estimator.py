@@ -34,8 +34,14 @@ from metropilot.control.prediction import (
     predict_motion,
     predict_path,
 )
-from metropilot.physics import Vehicle, curve_n, effort_limits, namespace, push_command
-from metropilot.protection import Memory
+from metropilot.physics import (
+    Vehicle,
+    curve_n,
+    effort_limits,
+    namespace,
+    push_command,
+    resistance_and_gradient,
+)
 
 MAX_EXTRA_DELAY_S = 1.0
 """Largest dead time among the hypotheses beyond the nominal one."""
@@ -531,29 +537,34 @@ def look_ahead(model: Model, estimate: StateEstimate) -> PredictedState:
 
 
 def look_along(
-    model: Model, estimate: StateEstimate, supervision: Memory
+    model: Model, estimate: StateEstimate, periods: int
 ) -> Callable[[Scalar], Float[ndarray, "2 periods"]]:
-    """Prepare to predict the path while a command given now may be on its way, as far as protection looks.
+    """Prepare to predict the path of the coming periods.
 
     Args:
         model: Nominal trainset and section.
         estimate: State and plant as estimated.
-        supervision: Memory of protection.
+        periods: Periods to predict.
 
     Returns:
         Positions, m, and speeds, m/s, at the end of each period, as a function of the command.
     """
-    periods = supervision.recent.size
     age, keep, motion = _motion(estimate)
-    up, down, drag = estimate.bank.parameters[:3, estimate.best].tolist()
-    limits = effort_limits(model.vehicle, model.track, motion.position_m, motion.speed_mps)
-    resistance, gradient, _, traction, brake = map(float, limits)
-    acting = up * traction, down * brake, drag * resistance + gradient
-    before, jerk = estimate.commands.tolist(), float(model.vehicle.jerk_mps3)
+    vehicle, (x, v) = model.vehicle, motion[:2]
+    up, down, factor = estimate.bank.parameters[:3, estimate.best].tolist()
+    limits = effort_limits(vehicle, model.track, x, v)
+    acting = up * float(limits.traction_mps2), down * float(limits.brake_mps2)
+    drags = [factor * float(limits.resistance_mps2) + float(limits.gradient_mps2)]
+    if periods > 1:
+        # A change of gradient within the dead time is more than the speed there, which is held.
+        at = x + v * model.dt * np.arange(1, periods)
+        resistance, gradient = resistance_and_gradient(vehicle, model.track, at, v)
+        drags += list((factor * resistance + gradient) / float(vehicle.effective_mass_kg))
+    before, jerk = estimate.commands.tolist(), float(vehicle.jerk_mps3)
 
     @no_type_check
     def look(share: Scalar) -> Float[ndarray, "2 periods"]:
-        return predict_path(motion, [share, *before], age, keep, acting, jerk, model.dt, periods)
+        return predict_path(motion, [share, *before], age, keep, acting, drags, jerk, model.dt)
 
     return look
 

@@ -243,10 +243,10 @@ def predict_path(
     commands: Sequence[float],
     delay_steps: float,
     keep: float,
-    limits_mps2: tuple[float, float, float],
+    limits_mps2: tuple[float, float],
+    drags_mps2: Sequence[float],
     jerk_mps3: float,
     dt: float,
-    periods: int,
 ) -> Float[ndarray, "2 periods"]:
     """Predict positions, m, and speeds, m/s, at the end of each coming period.
 
@@ -255,15 +255,15 @@ def predict_path(
         commands: Commands given, newest first; the newest is the one of the first period.
         delay_steps: Dead time in control periods.
         keep: Share of the old effort that remains after a period of lag.
-        limits_mps2: As for :func:`predict_motion`.
+        limits_mps2: Largest traction and largest service brake, constant over the prediction.
+        drags_mps2: Resistance with gradient in each period, where the trainset will be.
         jerk_mps3: Jerk limit.
         dt: Control period, s.
-        periods: Periods to predict.
     """
     path = []
-    for k in range(periods):
+    for k, drag in enumerate(drags_mps2):
         acting = acting_command(commands, max(delay_steps - k, 0.0))
-        motion = _move(motion, acting, keep, limits_mps2, jerk_mps3, dt)
+        motion = _move(motion, acting, keep, (*limits_mps2, drag), jerk_mps3, dt)
         path.append((motion.position_m, motion.speed_mps))
     xp = namespace(motion.speed_mps)
     return (np if xp is scalars else xp).array(path).transpose()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from functools import cached_property
 from typing import NamedTuple
 
@@ -25,6 +26,8 @@ RELEASE_MPS = 0.1
 """After an intervention the driver's command must fit at this much more speed before it passes again."""
 EXPECTED_MPS = 0.02
 """Error of a speed expected some periods ahead."""
+FELT_SHARE = 0.2
+"""Share of a command that a lag leaves when it counts as over."""
 STANDSTILL_MPS = 0.05
 """At or below this measured speed, plus its error, the emergency brake is released."""
 
@@ -114,6 +117,17 @@ def _milder(
     return check.xp.where(check.passes(cut, none), 1, brake)
 
 
+def periods_in_effect(protection: Protection, memory: Memory) -> int:
+    """Number of periods in which a command given now may be on its way or still be felt.
+
+    Args:
+        protection: Curves and bounds.
+        memory: Memory of protection, of this or any other period.
+    """
+    keep = float(protection.fading.share)
+    return memory.recent.size + (math.ceil(math.log(FELT_SHARE) / math.log(keep)) if keep > 0.0 else 0)
+
+
 def admits_braking(
     protection: Protection,
     memory: Memory,
@@ -122,13 +136,13 @@ def admits_braking(
 ) -> bool:
     """Tell if full braking would pass in each of the coming periods, whatever is still on its way (NumPy).
 
-    A command that passes counts for as long as it may still be on its way. For drivers whose commands act
-    late: while full braking passes, they can still avoid an intervention. Nothing of the guarantee rests on
-    it.
+    A command that passes counts for as long as it may still be on its way, and then as a lag lets go of it.
+    For drivers whose commands act late: while full braking passes, they can still avoid an intervention.
+    Nothing of the guarantee rests on it.
 
     Args:
         protection: Curves and bounds.
-        memory: After the last command; as many periods as it remembers commands can be told.
+        memory: After the last command.
         position_m: Position expected at the end of each period.
         speed_mps: Speed expected there.
     """
@@ -137,7 +151,8 @@ def admits_braking(
     ):
         return True
     # After the last of them full braking alone is on its way, and what is in effect falls.
-    older = np.append(np.maximum.accumulate(memory.recent)[-2::-1], -1.0)[: position_m.size]
+    rest = np.full(max(position_m.size - memory.recent.size + 1, 0), -1.0)
+    older = np.append(np.maximum.accumulate(memory.recent)[-2::-1], rest)[: position_m.size]
     share, keep = [memory.share], protection.fading.share
     for each in older:
         share.append(each + max(share[-1] - each, 0.0) * keep)
@@ -163,7 +178,10 @@ def _far_below(
     ahead = slice(first, last + protection.ahead.size)
     # the service curve looks at the gradient over a longer reaction, so its pull may grow before the other's
     most = max(pull[first : last + 2].max(), protection.usual_pull_mps2[first : last + 2].max())
-    rise = max(float(memory.acceleration_mps2 + most - pull[first]), 0.0)
+    # the acceleration remembered is one of the pull where the last command was given, a period before
+    back_m = speed_mps * min(float(usual.reaction_s), float(worst.reaction_s))
+    start = max(first - 1 - int(back_m / float(protection.spacing_m)), 0)
+    rise = max(float(memory.acceleration_mps2 + most - pull[start : first + 1].min()), 0.0)
     reaction_s = max(float(usual.reaction_s), float(worst.reaction_s))
     jerk = min(float(usual.jerk_mps3), float(worst.jerk_mps3))
     peak = speed_mps + EXPECTED_MPS + 2.0 * worst.speed_error_mps + rise * (reaction_s + 0.5 * rise / jerk)

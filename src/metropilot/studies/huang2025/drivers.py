@@ -48,7 +48,7 @@ from metropilot.env import FEATURE_WORDS
 from metropilot.errors import InputError
 from metropilot.physics import scalars
 from metropilot.policy import LoadedPolicy, Policy, in_precision, load_driving_policy, shipped_policy
-from metropilot.protection import Memory, at_start
+from metropilot.protection import Memory, at_start, periods_in_effect
 from metropilot.railway import Section
 from metropilot.sim import AbstractDriver, Observation, Run, declared_bounds
 from metropilot.studies.huang2025.env import ExpertAction, ExpertChoiceAction
@@ -239,9 +239,10 @@ def decide(
         share = ahead.command_for(effort)
     supervision = memory.supervision
     # What is on its way, or built up, cannot be taken back: protection is asked before it has to intervene.
-    look = ground.look_along(actuation, now, supervision.recent.size)
+    guard = memory.ceiling.guard
+    look = ground.look_along(actuation, now, periods_in_effect(guard, supervision))
     share, supervision = largest_admissible_command(
-        memory.ceiling.guard, supervision, observation.position_m, observation.speed_mps, share, look
+        guard, supervision, observation.position_m, observation.speed_mps, share, look
     )
     memory = memory._replace(
         supervision=supervision,

@@ -473,13 +473,15 @@ class ExpertTrack(NamedTuple):
             now: From :meth:`now`.
             periods: Periods to predict.
         """
-        motion, limits, _ = now
+        motion, (traction, brake, drag), _ = now
+        x, v, dt = motion.position_m, motion.speed_mps, actuation.dt
         steps, keep, jerk = actuation.delay_steps, actuation.keep, self.jerk_mps3
+        drags = [drag, *(self.drag(x + v * dt * k, v) for k in range(1, periods))]
 
         @no_type_check
         def look(share: Scalar) -> Float[np.ndarray, "2 periods"]:
             commands = (share, *actuation.commands)
-            return predict_path(motion, commands, steps, keep, limits, jerk, actuation.dt, periods)
+            return predict_path(motion, commands, steps, keep, (traction, brake), drags, jerk, dt)
 
         return look
 
@@ -820,7 +822,8 @@ def stop_share(
     if not hoa.braking:
         early_m = v * (0.5 * actuation.lag_s + 0.25 * dt)
         sooner, _ = required_with_build_up(v, a, distance - early_m, curve)
-        later = required_later(ahead, distance, curve, dt)
+        # the brake that is planned with has a little to spare for the lag, the one that is there has nothing
+        later = required_later(ahead, distance - v * actuation.lag_s, curve, dt)
         # a crawling trainset stands before the jerk limit lets it brake as planned
         begins = min(plan, CRAWL_SHARE * strongest(v, curve, dt))
         if sooner < begins and later <= begins / USE:
