@@ -822,11 +822,15 @@ def stop_share(
     if not hoa.braking:
         early_m = v * (0.5 * actuation.lag_s + 0.25 * dt)
         sooner, _ = required_with_build_up(v, a, distance - early_m, curve)
-        # the brake that is planned with has a little to spare for the lag, the one that is there has nothing
-        later = required_later(ahead, distance - v * actuation.lag_s, curve, dt)
+        later = required_later(ahead, distance, curve, dt)
+        # what is planned with leaves a little for the way of the lag, what the brake gives here does not
+        last = later
+        if actuation.lag_s > 0.0:
+            last = required_later(ahead, distance - v * actuation.lag_s, curve, dt)
+        gives = ahead.brake_mps2 + ahead.resistance_mps2
         # a crawling trainset stands before the jerk limit lets it brake as planned
         begins = min(plan, CRAWL_SHARE * strongest(v, curve, dt))
-        if sooner < begins and later <= begins / USE:
+        if sooner < begins and later <= begins / USE and last <= max(gives, begins / USE):
             return 0.0, False
     wanted = -stop_deceleration(v, a, distance, curve, dt).wanted_mps2
     if actuation.lag_s > 0.0:
