@@ -149,25 +149,35 @@ def test_look_ahead_reaches_the_end_of_a_dead_time_between_the_periods(delay_s, 
 
 def test_look_along_predicts_the_path_of_the_commands_on_their_way():
     late = replace(load_trainset("dkz32"), actuation=replace(load_trainset("dkz32").actuation, delay_s=0.6))
-    section = load_line("yizhuang").section("RC", "RJ")
-    follow_path(late, section, places_m=0.02, speeds_mps=0.01)
+    expected, driven = look_and_drive(late, load_line("yizhuang").section("RC", "RJ"))
+    assert expected.shape == (2, 4)
+    assert expected[0] == pytest.approx(driven[0], abs=0.02)
+    assert expected[1] == pytest.approx(driven[1], abs=0.01)
 
 
 def test_look_along_sees_the_gradient_ahead_not_that_underneath():
     """A point mass passes a step of the gradient at once, in the midst of the dead time."""
     late = replace(load_trainset("cn_beijing_subway"), actuation=Actuation(0.9, 0.0, 1.0))
-    section = load_line("yizhuang").section("RC", "RJ")
-    places = np.arange(-500.0, 3000.0, 12.0)
-    steep = Steps(places, np.resize([27.0, -27.0], places.size))
-    follow_path(late, replace(section, gradient_permil=steep), places_m=0.05, speeds_mps=0.08)
+    section, places = load_line("yizhuang").section("RC", "RJ"), np.arange(-500.0, 3000.0, 12.0)
+    steep = replace(section, gradient_permil=Steps(places, np.resize([27.0, -27.0], places.size)))
+    expected, driven = look_and_drive(late, steep)
+    assert expected.shape == (2, 6)
+    assert expected[0] == pytest.approx(driven[0], abs=0.05)
+    assert expected[1] == pytest.approx(driven[1], abs=0.08)
 
 
-def follow_path(trainset, section, places_m, speeds_mps):
-    """Drive some commands, and compare the way after them with the one expected."""
+@pytest.mark.parametrize("trainset", [load_trainset("dkz32"), load_trainset("dkz32").ideal()])
+def test_look_along_ends_with_the_period_where_commands_act_at_once(trainset):
+    expected, driven = look_and_drive(trainset, load_line("yizhuang").section("RC", "RJ"))
+    assert expected.shape == (2, 1)
+    assert expected == pytest.approx(driven, abs=0.01)
+
+
+def look_and_drive(trainset, section):
+    """Positions and speeds expected after some commands, and those of the drive. Shape (2, periods) each."""
     guard = protect(section, trainset, Bounds.of(trainset, DT))
     model, memory = Model(vehicle_arrays(trainset), track_arrays(section, trainset), DT), at_start(guard)
-    delay_s = trainset.actuation.delay_s
-    state = at_rest(model.vehicle, delay_steps=delay_steps(delay_s, DT))
+    state = at_rest(model.vehicle, delay_steps=delay_steps(trainset.actuation.delay_s, DT))
     estimate, look, commands = initial_estimate(model), None, [*COMMANDS[:40], 0.2, -0.4, 0.7]
     for command in commands:
         seen = float(state.position_m), float(state.speed_mps), float(state.acceleration_mps2)
@@ -175,12 +185,11 @@ def follow_path(trainset, section, places_m, speeds_mps):
         look = look_along(model, estimate, periods_in_effect(guard, memory))
         estimate = record_command(estimate, command)
         state = step(model.vehicle, model.track, state, Command(np.float64(command), False), DT)
-    path = look(commands[-1])
-    assert path.shape == (2, 1 + round(delay_s / DT + 0.4999))
-    for place, speed in path.T:
-        assert place == pytest.approx(float(state.position_m), abs=places_m)
-        assert speed == pytest.approx(float(state.speed_mps), abs=speeds_mps)
+    expected, driven = look(commands[-1]), []
+    for _ in expected.T:
+        driven.append((float(state.position_m), float(state.speed_mps)))
         state = step(model.vehicle, model.track, state, Command(np.float64(-1.0), False), DT)
+    return expected, np.transpose(driven)
 
 
 def test_a_command_is_in_effect_for_its_dead_time_and_as_a_lag_lets_go_of_it():

@@ -198,7 +198,7 @@ def test_a_line_of_many_limits_is_driven_in_time_for_what_they_cost():
 
 @pytest.mark.parametrize("name", ["eitoe", "eitop"])
 def test_the_way_that_a_lag_takes_counts_before_a_stop_on_a_fall(name):
-    """They began to brake a period late and stood 0.8 and 1.2 m beyond the mark."""
+    """They began to brake a period late, and `eitoe` went beyond the mark."""
     trainset = load_trainset("ch_stadler_kiss_sbb")
     trainset = replace(trainset, actuation=Actuation(0.9, 0.59, trainset.actuation.jerk_limit_mps3))
     done = driven(section_of(600.0, {0.0: 27.6}, {0.0: 0.0, 150.0: -21.5}), trainset, 1.15, name, dt=0.5)

@@ -91,12 +91,12 @@ def test_full_braking_over_a_path_is_told_as_period_by_period(section, trainset,
     rises = np.flatnonzero(np.diff(guard.pull_mps2) > 0.05)
     before_fall_m = guard.start_m + guard.spacing_m * rises[(rises > 200) & (rises < 2000)]
     for number in range(300):
-        x, share = rng.uniform(200.0, 2000.0), rng.uniform(0.0, 0.6)
+        x, share, acting = rng.uniform(200.0, 2000.0), rng.uniform(0.0, 0.6), 0.0
         if before_fall_m.size > 0 and number % 2 == 0:
-            # what falls ahead begins to count in the first period
-            x = float(rng.choice(before_fall_m)) - rng.uniform(0.0, 6.0)
+            # traction acts, and a fall ahead begins to count in the first period
+            x, acting = float(rng.choice(before_fall_m)) - rng.uniform(0.0, 6.0), share
         v = float(permitted_speed(guard, np.float64(x))) - rng.uniform(0.0, below_mps)
-        before = at_start(guard, share=share)
+        before = at_start(guard, share=acting)
         _, after, verdict = supervise(guard, before, x, v, Command(np.float64(share), False))
         if verdict.level > 0:
             continue

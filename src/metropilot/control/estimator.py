@@ -556,7 +556,7 @@ def look_along(
     acting = up * float(limits.traction_mps2), down * float(limits.brake_mps2)
     drags = [factor * float(limits.resistance_mps2) + float(limits.gradient_mps2)]
     if periods > 1:
-        # A change of gradient within the dead time is more than the speed there, which is held.
+        # A gradient may change within the dead time by more than a brake gives; the speed hardly does.
         at = x + v * model.dt * np.arange(1, periods)
         resistance, gradient = resistance_and_gradient(vehicle, model.track, at, v)
         drags += list((factor * resistance + gradient) / float(vehicle.effective_mass_kg))

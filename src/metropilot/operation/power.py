@@ -19,6 +19,8 @@ from metropilot.sim import Trajectory
 
 SAME_S = 1e-9
 """Instants nearer than this are one."""
+ROUNDING = 1e-12
+"""Power over the largest one below which it is rounding."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -220,4 +222,6 @@ def add_periodic(
         [[0.0], np.cumsum(rise[:-1] * gap[:-1])]
     )
     power = np.stack([before, before + rise * gap], axis=1)
+    # sums that cancel leave their rounding, which is no power: it would be drawn or returned for hours
+    power[np.abs(power) <= ROUNDING * np.abs(power).max()] = 0.0
     return PeriodicPower(knots, power)

@@ -823,14 +823,14 @@ def stop_share(
         early_m = v * (0.5 * actuation.lag_s + 0.25 * dt)
         sooner, _ = required_with_build_up(v, a, distance - early_m, curve)
         later = required_later(ahead, distance, curve, dt)
-        # what is planned with leaves a little for the way of the lag, what the brake gives here does not
-        last = later
-        if actuation.lag_s > 0.0:
-            last = required_later(ahead, distance - v * actuation.lag_s, curve, dt)
-        gives = ahead.brake_mps2 + ahead.resistance_mps2
         # a crawling trainset stands before the jerk limit lets it brake as planned
         begins = min(plan, CRAWL_SHARE * strongest(v, curve, dt))
-        if sooner < begins and later <= begins / USE and last <= max(gives, begins / USE):
+        waits = sooner < begins and later <= begins / USE
+        if waits and actuation.lag_s > 0.0:
+            # what is planned with has something to spare for the way of the lag, what the brake gives has not
+            last = required_later(ahead, distance - v * actuation.lag_s, curve, dt)
+            waits = last <= max(ahead.brake_mps2 + ahead.resistance_mps2, begins / USE)
+        if waits:
             return 0.0, False
     wanted = -stop_deceleration(v, a, distance, curve, dt).wanted_mps2
     if actuation.lag_s > 0.0:
