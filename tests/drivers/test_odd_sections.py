@@ -216,3 +216,93 @@ def test_what_a_lag_lets_go_of_late_counts_before_a_fall(name):
     done = driven(section_of(2400.0, {0.0: 80.0}, steps), trainset, 1.05, name, dt=0.1)
     assert done.outcome is Outcome.ARRIVED
     assert done.interventions == 0
+
+
+PROMPT = Actuation(0.0, 0.0, np.inf)
+
+
+@pytest.mark.parametrize(
+    ("trainset", "actuation", "section", "ratio"),
+    [
+        (
+            "nl_intercity_virm6",
+            PROMPT,
+            section_of(2500.0, {0.0: 51.0, 600.0: 124.0, 1550.0: 33.0}, {0.0: -34.0, 2100.0: 0.0}),
+            1.05,
+        ),
+        (
+            "de_desiro_classic",
+            Actuation(0.13, 0.52, 1.07),
+            section_of(
+                2476.0,
+                {0.0: 58.0, 1300.0: 39.0, 2270.0: 80.0},
+                {
+                    0.0: -9.0,
+                    350.0: -35.0,
+                    630.0: 24.0,
+                    850.0: -30.0,
+                    1185.0: 0.0,
+                    1300.0: -30.0,
+                    2300.0: 18.0,
+                },
+            ),
+            1.1,
+        ),
+    ],
+)
+def test_braking_for_a_lower_limit_on_a_fall_counts_in_the_time(trainset, actuation, section, ratio):
+    """The forecast of coasting was under the permitted speed, above what brakes keep: 5.7 and 1.7 s late."""
+    trainset = replace(load_trainset(trainset), actuation=actuation)
+    done = driven(section, trainset, ratio, "generalist", dt=0.5)
+    assert done.outcome is Outcome.ARRIVED
+    assert done.running_time_s - done.scheduled_time_s < 0.5
+
+
+def test_coasting_that_comes_a_little_late_is_not_left_at_that():
+    """It knew from 170 s before the stop on that it would be 1.2 s late, and asked for no traction."""
+    trainset = replace(load_trainset("lu2023"), actuation=PROMPT)
+    falls = {0.0: -24.0, 500.0: -32.0, 1500.0: 20.0, 1700.0: -8.0, 3000.0: -5.0, 3380.0: -13.0}
+    section = section_of(3500.0, {0.0: 80.0}, {**falls, 3400.0: 28.0, 3485.0: -31.0})
+    done = driven(section, trainset, 1.29, "generalist", dt=0.1)
+    assert done.outcome is Outcome.ARRIVED
+    assert done.running_time_s - done.scheduled_time_s < 0.6
+
+
+@pytest.mark.parametrize("left_m", [18.0, 20.0, 22.0])
+def test_a_fall_that_turns_into_a_climb_just_before_the_mark_is_felt_a_period_longer(left_m):
+    """A point mass at full braking: it went 1.0 to 1.5 m beyond."""
+    trainset = replace(load_trainset("cn_beijing_subway"), actuation=PROMPT)
+    section = section_of(1200.0, {0.0: 60.0}, {0.0: 0.0, 600.0: -27.0, 1200.0 - left_m: 35.0})
+    done = driven(section, trainset, 1.15, "generalist", dt=0.5)
+    assert done.outcome is Outcome.ARRIVED
+    assert abs(float(done.trajectory.position_m[-1]) - section.length_m) < 0.3
+
+
+def test_a_stop_at_the_deceleration_that_a_fall_leaves_at_its_end_takes_its_time():
+    """The time of a stop as late as possible was reckoned with: 3.3 s after `flat_out`, and 0.5 m beyond."""
+    trainset = replace(load_trainset("drawn-7203-43"), actuation=Actuation(0.72, 0.24, 1.48))
+    section = section_of(1500.0, {0.0: 140.0}, {0.0: -25.0, 900.0: 20.0, 1470.0: -36.0})
+    done = driven(section, trainset, 1.15, "generalist")
+    fastest = driven(section, trainset, 1.15, "flat_out")
+    assert done.outcome is Outcome.ARRIVED
+    assert done.running_time_s - fastest.running_time_s < 2.0
+
+
+def test_what_protection_takes_below_the_limits_counts_in_the_time():
+    """Its emergency brake is guaranteed weak: 8.7 s after `flat_out`, with a reserve for limits alone."""
+    trainset = replace(load_trainset("ch_stadler_flirt_tpf"), actuation=PROMPT)
+    limits = {
+        0.0: 157.0,
+        1900.0: 140.0,
+        2111.0: 72.0,
+        2581.0: 113.0,
+        3612.0: 41.0,
+        4177.0: 135.0,
+        4629.0: 36.0,
+    }
+    hills = {0.0: 0.0, 704.0: 14.0, 2495.0: -15.0, 2882.0: -35.0, 3059.0: 36.0, 3249.0: 2.0, 3263.0: -36.0}
+    section = section_of(4650.0, limits, {**hills, 3472.0: 19.0, 4431.0: 30.0})
+    done = driven(section, trainset, 1.18, "generalist", dt=0.5)
+    fastest = driven(section, trainset, 1.18, "flat_out", dt=0.5)
+    assert done.outcome is Outcome.ARRIVED
+    assert done.running_time_s - fastest.running_time_s < 1.0

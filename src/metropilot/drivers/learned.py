@@ -211,7 +211,13 @@ class LearnedDriver(AbstractDriver):
     def _tables(self, run: Run, section: Section, trainset: Trainset) -> SectionTables:
         """One section and a trainset, in float64."""
         interface, case = self.interface, (section, trainset, declared_bounds(run))
-        tables = build_tables([case], interface.spacing_m, np.float64, fading=interface.action.fading)
+        tables = build_tables(
+            [case],
+            interface.spacing_m,
+            np.float64,
+            fading=interface.action.fading,
+            steady=self.estimates_plant(run),
+        )
         return tables._replace(load=np.array([trainset.mass_kg / self.interface.mean_mass_kg]))
 
     def _set_section(self, memory: LearnedMemory, section: Section) -> LearnedMemory:

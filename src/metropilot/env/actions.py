@@ -31,6 +31,13 @@ LATE_OVER_S = 0.5
 """Time to spare over which being late grows from none to whole."""
 FAR_S = 45.0
 """Flat-out time to the stop from which on that says something: nearer all drives have little to spare."""
+BEHIND_S = (0.1, 3.0)
+"""Lateness of coasting from which on a trainset does something about it, and from which on that says nothing:
+traction is still to come."""
+SOON_SHARE = 1.5
+"""Time left over the flat-out time to the stop below which there is little to spare."""
+GAIN_S = 5.0
+"""Time over which a trainset gains the speed that it lacks."""
 
 
 STANDING_MPS, STARTS_MPS2, STARTS_SHARE = 0.1, 0.3, 0.05
@@ -139,6 +146,24 @@ def urgency(context: FeatureContext) -> Scalar:
     return xp.where(context.to_go_s > FAR_S, xp.clip(missing_s / LATE_OVER_S, 0.0, 1.0), 0.0 * missing_s)
 
 
+def least_in_time(context: FeatureContext, needed: Scalar, period_s: float) -> Scalar:
+    """Least command of a trainset that would arrive somewhat late if it coasted; -1 of any other.
+
+    It does not brake for anything but a limit or the stop. With little time to spare it holds its speed where
+    no fall does, and gains what is missing over ``GAIN_S``.
+
+    Args:
+        context: State.
+        needed: Command after which coasting arrives in time, from :func:`needed_traction`.
+        period_s: Time until the next decision, s.
+    """
+    xp = context.xp
+    late_s = context.braked_coasting_s[0] - context.left_s
+    held = xp.maximum(context.effort_limits.command_for(0.0), 0.0) + needed * min(period_s / GAIN_S, 1.0)
+    least = xp.where(context.left_s < SOON_SHARE * context.to_go_s, xp.minimum(held, 1.0), 0.0)
+    return xp.where((late_s > BEHIND_S[0]) & (late_s < BEHIND_S[1]), least, -1.0)
+
+
 def start(context: FeatureContext, command: Scalar) -> Scalar:
     """Command that leaves no trainset standing before the stop.
 
@@ -201,11 +226,9 @@ class RegimeAction(AbstractAction):
         if not self.needed:
             return command
         urgent = urgency(context)
-        # of one state on the host nothing is forecast that would not be used
-        if xp is scalars and not (command > 0.0 or urgent > 0.0):
-            return start(context, command)
         most = needed_traction(context, period_s)
         least = xp.where(urgent > 0.0, xp.minimum(urgent, most), -1.0)
+        least = xp.maximum(least, least_in_time(context, most, period_s))
         return start(context, xp.maximum(xp.where(command > 0.0, xp.minimum(command, most), command), least))
 
 

@@ -96,6 +96,18 @@ class Assists:
         """Speed by which the trainset stays below the permitted one, m/s; 0 where nothing keeps it there."""
         return self.margin_mps if self.ceiling else 0.0
 
+    def ceiling_at(self, rows: SectionRows, case: Index, position_m: Scalar) -> Scalar:
+        """The speed to keep under at one or many positions, m/s.
+
+        Args:
+            rows: The task's tables.
+            case: Row of the case.
+            position_m: Where.
+        """
+        if self.late:
+            return rows.follow_at(case, position_m)
+        return rows.curve_at(PERMITTED_COLUMN, case, position_m)
+
     def planned_mps2(self, rows: SectionRows, case: Index, sure_mps2: Scalar, position_m: Scalar) -> Scalar:
         """Deceleration to plan the last braking with from a position.
 
@@ -173,13 +185,6 @@ def apply_assists(
     return command, stopping
 
 
-def ceiling_at(assists: Assists, rows: SectionRows, case: Index, position_m: Scalar) -> Scalar:
-    """The speed to keep under at a position, m/s."""
-    if assists.late:
-        return rows.follow_at(case, position_m)
-    return rows.curve_at(PERMITTED_COLUMN, case, position_m)
-
-
 def ceiling_mps2(assists: Assists, context: FeatureContext, dt: float) -> Scalar:
     """Largest acceleration that protection lets pass and the trainset's limits allow.
 
@@ -191,9 +196,7 @@ def ceiling_mps2(assists: Assists, context: FeatureContext, dt: float) -> Scalar
     spread = rates.mass_high / rates.mass_low
 
     def ceiling(at: Scalar) -> Scalar:
-        return (
-            ceiling_at(assists, context.rows, context.case, at) - assists.margin_mps - rates.speed_error_mps
-        )
+        return assists.ceiling_at(context.rows, context.case, at) - assists.margin_mps - rates.speed_error_mps
 
     jerk = xp.minimum(context.vehicle.jerk_mps3, AT_ONCE_MPS3)
     ahead_s = dt + rates.reaction_s + 1.0 / jerk

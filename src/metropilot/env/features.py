@@ -139,18 +139,21 @@ class FeatureContext(_State):
         braked away on the way comes back, and the stop takes one deceleration: policies learned with it.
         """
         way = self._way_m
-        top = self._highest_mps(_along(self.stop_mps2) * (way[..., -1:] - way))
+        permitted_mps = self.rows.curve_at(PERMITTED_COLUMN, self.case, _along(self.position_m) + way)
+        top = self._highest_mps(_along(self.stop_mps2) * (way[..., -1:] - way), permitted_mps)
         speeds = self.rows.xp.minimum(self._coast(None), top[None])
         return _time_along(way, speeds), speeds[..., :-3].min(-1) / SPEED_MPS
 
     @functools.cached_property
     def braked_coasting_s(self) -> Array:
-        """Times of ``coasting``, without the energy braked away and with the stop as it is planned."""
+        """Times of ``coasting`` without the energy braked away, under the ceiling and to the planned stop."""
         way = self._way_m
+        at = _along(self.position_m) + way
         work = _along(self.stop_mps2) * (way[..., -1:] - way)
         if self.assists.work_share:
-            work = self.assists.work_share * self.rows.stop_work_at(self.case, _along(self.position_m) + way)
-        top = self._highest_mps(work, self.assists.below_mps + self.rates.speed_error_mps)
+            work = self.assists.work_share * self.rows.stop_work_at(self.case, at)
+        ceiling_mps = self.assists.ceiling_at(self.rows, self.case, at)
+        top = self._highest_mps(work, ceiling_mps, self.assists.below_mps + self.rates.speed_error_mps)
         return _time_along(way, self.rows.xp.minimum(self._coast(0.5 * top * top), top[None]))
 
     @functools.cached_property
@@ -159,12 +162,11 @@ class FeatureContext(_State):
         xp, dtype = self.rows.xp, getattr(self.speed_mps, "dtype", float)
         return xp.asarray(COAST_SHARES, dtype) * xp.maximum(_along(self.left_m), 1.0)
 
-    def _highest_mps(self, stop_jpkg: Array, below_mps: Scalar = 0.0) -> Array:
-        """Highest speeds on the way: below the permitted, and such that the work of the stop is enough."""
-        xp, at = self.rows.xp, _along(self.position_m) + self._way_m
+    def _highest_mps(self, stop_jpkg: Array, most_mps: Array, below_mps: Scalar = 0.0) -> Array:
+        """Highest speeds on the way: below the highest, and such that the work of the stop is enough."""
+        xp = self.rows.xp
         stop_mps = xp.sqrt(2.0 * xp.maximum(stop_jpkg, 0.0) + 1e-6)
-        permitted_mps = self.rows.curve_at(PERMITTED_COLUMN, self.case, at)
-        return xp.minimum(xp.maximum(permitted_mps - below_mps, 0.5 * permitted_mps), stop_mps)
+        return xp.minimum(xp.maximum(most_mps - below_mps, 0.5 * most_mps), stop_mps)
 
     @functools.cached_property
     def _climb_jpkg(self) -> Array:

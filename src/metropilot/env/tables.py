@@ -23,7 +23,7 @@ from metropilot.physics import (
     track_arrays,
     vehicle_arrays,
 )
-from metropilot.planning import interpolate_time_to_go, tabulate_time_to_go
+from metropilot.planning import interpolate_time_to_go, limit_at, tabulate_time_to_go
 from metropilot.protection import (
     Bounds,
     Protection,
@@ -69,13 +69,15 @@ class SectionTables(NamedTuple):
     braking_curves: Float[Array, "cases nodes curves"]
 
 
+PARTS = 8
+"""Places between two nodes that a mean force is taken of."""
 STOP_STRETCH_M = 300.0
 STOP_USE = 0.95
 STOP_PASSES = 4
 LEAST_STOP_MPS2 = 0.03
+"""Least deceleration that a stop is planned with."""
 FADE_MPS, FADE_STEP_MPS = 1.5, 0.5
 """Range of speed over which a brake that fades is taken at its weakest, and step of its table."""
-"""Least deceleration that a stop is planned with."""
 LEAST_DRIVEN = 0.5
 """Least speed that errors of measurement leave, as a share of the permitted one."""
 SURE_RESISTANCE = 0.8
@@ -98,6 +100,7 @@ def build_tables(
     jobs: int = 1,
     *,
     fading: bool = False,
+    steady: bool = False,
 ) -> SectionTables:
     """Build the tables of the cases (NumPy).
 
@@ -107,9 +110,11 @@ def build_tables(
         dtype: Number type.
         jobs: Number of processes; 0: one a core.
         fading: See :attr:`metropilot.env.AbstractAction.fading`.
+        steady: The last braking is at one deceleration, which the brakes can sustain from everywhere on its
+            way, not as late as they allow.
     """
     masses = [trainset.mass_kg for _, trainset, _ in cases]
-    rows = _rows(cases, spacing_m, jobs, fading=fading)
+    rows = _rows(cases, spacing_m, jobs, fading=fading, steady=steady)
     vehicles, tracks, protections, node_curves, tables, least, lengths, stops, braking = zip(
         *rows, strict=True
     )
@@ -133,19 +138,24 @@ def build_tables(
 
 
 def _rows(
-    cases: Sequence[tuple[Section, Trainset, Bounds]], spacing_m: float, jobs: int, *, fading: bool
+    cases: Sequence[tuple[Section, Trainset, Bounds]],
+    spacing_m: float,
+    jobs: int,
+    *,
+    fading: bool,
+    steady: bool,
 ) -> list[Any]:
     """Rows of the cases, computed in several processes for thousands of cases."""
     if jobs == 1:
-        return [_case(*case, spacing_m, fading=fading) for case in cases]
+        return [_case(*case, spacing_m, fading=fading, steady=steady) for case in cases]
     from joblib import Parallel, cpu_count, delayed
 
     pool = Parallel(n_jobs=jobs or cpu_count())
-    return list(pool(delayed(_case)(*case, spacing_m, fading=fading) for case in cases))
+    return list(pool(delayed(_case)(*case, spacing_m, fading=fading, steady=steady) for case in cases))
 
 
 def _case(
-    section: Section, trainset: Trainset, bounds: Bounds, spacing_m: float, *, fading: bool
+    section: Section, trainset: Trainset, bounds: Bounds, spacing_m: float, *, fading: bool, steady: bool
 ) -> tuple[Any, ...]:
     vehicle, track = vehicle_arrays(trainset), track_arrays(section, trainset)
     most = usable_deceleration(section, trainset, bounds)
@@ -163,29 +173,63 @@ def _case(
     if fading and asks_for_less(trainset):
         # the brake at low speed is stronger than the service brake that protection reckons with
         permitted = np.minimum(permitted, permitted_before_service(protection, track, at))
-    gradient, curve, _ = mean_slopes(vehicle, track, at)
-    weight = (vehicle.gravity_mps2 * gradient + curve) * spacing_m
-    climb = np.concatenate([[0.0], np.cumsum(0.5 * (weight[1:] + weight[:-1]))])
+    uphill = _mean_uphill(vehicle, track, at)
+    climb = _integral(uphill, at) * float(vehicle.effective_mass_kg) / float(vehicle.mass_kg)
     node_curves = np.stack([*(getattr(protection, name)[:used] for name in PROTECTION_CURVES), climb], axis=1)
     driven_track = _driven_track(track, bounds)
     table = tabulate_time_to_go(vehicle, driven_track).time_s
     minimum_s = table[-1, 0] if driven_track is track else tabulate_time_to_go(vehicle, track).time_s[-1, 0]
-    pull = weight / spacing_m * float(vehicle.mass_kg) / float(vehicle.effective_mass_kg)
-    work = _stop_work(vehicle, at, pull, section.length_m)
-    follow = _follow_mps(vehicle, at, pull, permitted, fading=fading)
+    # a change of gradient comes to a point mass at once, but in the simulation at the next period
+    felt_s = bounds.dt_s if fading and vehicle.length_m <= 0.0 else 0.0
+    work = _stop_work(vehicle, track, at, section.length_m, felt_s)
+    if steady:
+        work = _sustained_work(at, work, section.length_m)
+    follow = _follow_mps(vehicle, at, uphill, permitted, fading=fading)
+    free = _follow_mps(vehicle, at, uphill, limit_at(track, at), fading=fading)
+    stop = _stop_speed(work)
     driven = np.maximum(follow - bounds.speed_error_mps, LEAST_DRIVEN * follow)
     braking_curves = np.stack(
         [
             work,
             follow,
-            *_pace_times(at, np.minimum(driven, _stop_speed(work)), section.length_m),
-            _lost_s(at, follow, section.length_m, bounds),
+            *_pace_times(at, np.minimum(driven, stop), section.length_m),
+            _lost_s(at, follow, np.minimum(free, stop), section.length_m, bounds),
         ],
         axis=1,
     )
     stop_mps2 = _stop_mps2(vehicle, track)
     lengths = minimum_s, section.length_m
     return vehicle, track, protection, node_curves, table, *lengths, stop_mps2, braking_curves
+
+
+def _mean_uphill(
+    vehicle: Vehicle, track: Track, at: np.ndarray, felt_m: np.ndarray | float = 0.0
+) -> np.ndarray:
+    """Mean of what gradient and curves take from each node to the next, m/s^2. Shape (N - 1,).
+
+    A point mass feels a change of gradient at once, wherever between two nodes it lies.
+
+    Args:
+        vehicle: Trainset.
+        track: Section.
+        at: Nodes, m.
+        felt_m: Ways over which the gradient before may still be felt, where it helps less. Shape (N - 1,).
+    """
+
+    def uphill(positions_m: np.ndarray) -> np.ndarray:
+        gradient, curve, _ = mean_slopes(vehicle, track, positions_m)
+        return vehicle.gravity_mps2 * gradient + curve
+
+    inside = at[:-1, None] + np.diff(at)[:, None] * (np.arange(PARTS) + 0.5) / PARTS
+    taken = uphill(inside)
+    if np.any(felt_m):
+        taken = np.minimum(taken, uphill(inside - np.reshape(felt_m, (-1, 1))))
+    return taken.mean(axis=1) * float(vehicle.mass_kg) / float(vehicle.effective_mass_kg)
+
+
+def _integral(means: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """Integral to each node of what has these means between them. Shape (N,)."""
+    return np.concatenate([[0.0], np.cumsum(means * np.diff(at))])
 
 
 def _driven_track(track: Track, bounds: Bounds) -> Track:
@@ -225,23 +269,35 @@ def _follow_mps(
     return np.sqrt(2.0 * np.array(energy))
 
 
-def _stop_work(vehicle: Vehicle, at: np.ndarray, uphill: np.ndarray, length_m: float) -> np.ndarray:
+def _stop_work(vehicle: Vehicle, track: Track, at: np.ndarray, length_m: float, felt_s: float) -> np.ndarray:
     """Energy that brakes and resistance surely dissipate between each node and the stop, J/kg. Shape (N,).
 
     The braking effort depends on the speed of the braking curve, and that on the effort: a fixed point.
     """
     mass, ends = float(vehicle.effective_mass_kg), float(vehicle.max_deceleration_mps2)
+    uphill = _mean_uphill(vehicle, track, at)
 
-    def dissipated_work(able: np.ndarray) -> np.ndarray:
-        work = np.concatenate([[0.0], np.cumsum(0.5 * (able[1:] + able[:-1]) * np.diff(at))])
+    def dissipated_work(sure: np.ndarray) -> np.ndarray:
+        able = np.clip(0.5 * (sure[1:] + sure[:-1]) + uphill, LEAST_STOP_MPS2, ends)
+        work = _integral(able, at)
         return np.interp(length_m, at, work) - work
 
-    work = dissipated_work(np.clip(_sure_brake(vehicle) + uphill, LEAST_STOP_MPS2, ends))
+    work = dissipated_work(np.full(at.size, _sure_brake(vehicle)))
     for _ in range(STOP_PASSES):
-        speed = np.minimum(np.sqrt(2.0 * np.maximum(work, 0.0)), float(vehicle.max_speed_mps))
+        speed = np.minimum(_stop_speed(work), float(vehicle.max_speed_mps))
+        if felt_s > 0.0:
+            uphill = _mean_uphill(vehicle, track, at, felt_s * speed[:-1])
         sure = effort_at(vehicle, speed).brake_n + SURE_RESISTANCE * davis_n(vehicle, speed)
-        work = dissipated_work(np.clip(sure / mass + uphill, LEAST_STOP_MPS2, ends))
+        work = dissipated_work(sure / mass)
     return work
+
+
+def _sustained_work(at: np.ndarray, work: np.ndarray, length_m: float) -> np.ndarray:
+    """Work of one deceleration to the stop that the brakes sustain from everywhere on the way. Shape (N,)."""
+    found, before = work.copy(), at < length_m
+    left = length_m - at[before]
+    found[before] = left * np.minimum.accumulate((work[before] / left)[::-1])[::-1]
+    return found
 
 
 def _stop_speed(work: np.ndarray) -> np.ndarray:
@@ -260,16 +316,28 @@ def _pace_times(at: np.ndarray, most_mps: np.ndarray, length_m: float) -> list[n
     return found
 
 
-def _lost_s(at: np.ndarray, follow: np.ndarray, length_m: float, bounds: Bounds) -> np.ndarray:
+def _lost_s(
+    at: np.ndarray, follow: np.ndarray, free: np.ndarray, length_m: float, bounds: Bounds
+) -> np.ndarray:
     """Time that a drive flat out loses between each node and the stop beyond the least, s. Shape (N,).
 
     It stays below each limit, and begins to brake for a lower one earlier by some control periods and by
-    what a command is late. Fitted to 112 drives on random sections, see ``docs/decisions/0024``.
+    what a command is late. Fitted to 112 drives on random sections, see ``docs/decisions/0024``. Where
+    protection permits much less than the limits, that counts instead.
+
+    Args:
+        at: Nodes, m.
+        follow: Highest speeds under the permitted one, m/s. Shape (N,).
+        free: Highest speeds under the limits and with the stop, m/s. Shape (N,).
+        length_m: Distance to the stop.
+        bounds: Bounds declared to protection.
     """
     slower = np.maximum(0.5 * (follow[1:] + follow[:-1]), SLOWEST_MPS)
     falls = np.maximum(follow[:-1] - follow[1:], 0.0) / np.maximum(follow[1:], SLOWEST_MPS)
     late_s = bounds.dt_s + bounds.delay_s + bounds.lag_s
     lost = LOST_MPS * np.diff(at) / (slower * slower) + LOST_SHARE * late_s * falls
+    quicker = np.maximum(0.5 * (free[1:] + free[:-1]), SLOWEST_MPS)
+    lost = np.maximum(lost, np.diff(at) * (1.0 / np.minimum(slower, quicker) - 1.0 / quicker))
     passed = np.concatenate([[0.0], np.cumsum(lost)])
     return np.maximum(np.interp(length_m, at, passed) - passed, 0.0)
 
@@ -373,7 +441,7 @@ class SectionRows:
             count = self.node_curves.shape[1]
             self._nodes_m = self.start_m[:, None] + self.spacing_m * np.arange(count)
             self._columns = np.ascontiguousarray(self.node_curves.transpose(0, 2, 1))
-            self._stop_work = np.ascontiguousarray(self.braking_curves[..., 0])
+            self._braking = np.ascontiguousarray(self.braking_curves[..., :2].transpose(0, 2, 1))
         self._shared = _map_tree(lambda a: not traced and bool((a == a[:1]).all()), small, traced=traced)
         if traced:
             self._small = _map_tree(xp.asarray, small, traced=True)
@@ -418,15 +486,19 @@ class SectionRows:
 
     def stop_work_at(self, case: Index, position_m: Scalar) -> Scalar:
         """Energy that the brakes surely dissipate to the stop from one or many positions, J/kg."""
-        if self.xp is np and namespace(position_m) is np and np.ndim(case) == 0:
-            work = self._stop_work[case]
-            return np.interp(position_m, self._nodes_m[case, : work.size], work)
-        return self.stop_at(case, position_m)[0]
+        return self._braking_at(0, case, position_m)
 
     def follow_at(self, case: Index, position_m: Scalar) -> Scalar:
-        """Speed from which the brakes surely respect all permitted speeds ahead, m/s."""
+        """Speed from which the brakes surely respect all permitted speeds ahead; at one or many places."""
+        return self._braking_at(1, case, position_m)
+
+    def _braking_at(self, column: int, case: Index, position_m: Scalar) -> Scalar:
+        """Value of a column of ``braking_curves`` at one or many positions, interpolated."""
+        if self.xp is np and namespace(position_m) is np and np.ndim(case) == 0:
+            curve = self._braking[case, column]
+            return np.interp(position_m, self._nodes_m[case, : curve.size], curve)
         node, way = self.node(case, position_m)
-        here, after = self.braking_curves[case, node, 1], self.braking_curves[case, node + 1, 1]
+        here, after = self.braking_curves[case, node, column], self.braking_curves[case, node + 1, column]
         return here + (after - here) * way
 
     def pace_times_s(self, case: Index, position_m: Scalar) -> Float[Array, "... paces"]:
