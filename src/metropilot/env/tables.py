@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -70,7 +71,7 @@ class SectionTables(NamedTuple):
 
 
 PARTS = 8
-"""Places between two nodes that a mean force is taken of."""
+"""Places between two nodes at which gradient and curves are read for their mean."""
 STOP_STRETCH_M = 300.0
 STOP_USE = 0.95
 STOP_PASSES = 4
@@ -114,7 +115,7 @@ def build_tables(
             way, not as late as they allow.
     """
     masses = [trainset.mass_kg for _, trainset, _ in cases]
-    rows = _rows(cases, spacing_m, jobs, fading=fading, steady=steady)
+    rows = _rows(cases, jobs, partial(_case, spacing_m=spacing_m, fading=fading, steady=steady))
     vehicles, tracks, protections, node_curves, tables, least, lengths, stops, braking = zip(
         *rows, strict=True
     )
@@ -138,24 +139,19 @@ def build_tables(
 
 
 def _rows(
-    cases: Sequence[tuple[Section, Trainset, Bounds]],
-    spacing_m: float,
-    jobs: int,
-    *,
-    fading: bool,
-    steady: bool,
+    cases: Sequence[tuple[Section, Trainset, Bounds]], jobs: int, build: Callable[..., tuple[Any, ...]]
 ) -> list[Any]:
     """Rows of the cases, computed in several processes for thousands of cases."""
     if jobs == 1:
-        return [_case(*case, spacing_m, fading=fading, steady=steady) for case in cases]
+        return [build(*case) for case in cases]
     from joblib import Parallel, cpu_count, delayed
 
     pool = Parallel(n_jobs=jobs or cpu_count())
-    return list(pool(delayed(_case)(*case, spacing_m, fading=fading, steady=steady) for case in cases))
+    return list(pool(delayed(build)(*case) for case in cases))
 
 
 def _case(
-    section: Section, trainset: Trainset, bounds: Bounds, spacing_m: float, *, fading: bool, steady: bool
+    section: Section, trainset: Trainset, bounds: Bounds, *, spacing_m: float, fading: bool, steady: bool
 ) -> tuple[Any, ...]:
     vehicle, track = vehicle_arrays(trainset), track_arrays(section, trainset)
     most = usable_deceleration(section, trainset, bounds)
@@ -181,7 +177,7 @@ def _case(
     minimum_s = table[-1, 0] if driven_track is track else tabulate_time_to_go(vehicle, track).time_s[-1, 0]
     # a change of gradient comes to a point mass at once, but in the simulation at the next period
     felt_s = bounds.dt_s if fading and vehicle.length_m <= 0.0 else 0.0
-    work = _stop_work(vehicle, track, at, section.length_m, felt_s)
+    work = _stop_work(vehicle, track, at, uphill, section.length_m, felt_s)
     if steady:
         work = _sustained_work(at, work, section.length_m)
     follow = _follow_mps(vehicle, at, uphill, permitted, fading=fading)
@@ -269,13 +265,22 @@ def _follow_mps(
     return np.sqrt(2.0 * np.array(energy))
 
 
-def _stop_work(vehicle: Vehicle, track: Track, at: np.ndarray, length_m: float, felt_s: float) -> np.ndarray:
+def _stop_work(
+    vehicle: Vehicle, track: Track, at: np.ndarray, uphill: np.ndarray, length_m: float, felt_s: float
+) -> np.ndarray:
     """Energy that brakes and resistance surely dissipate between each node and the stop, J/kg. Shape (N,).
 
     The braking effort depends on the speed of the braking curve, and that on the effort: a fixed point.
+
+    Args:
+        vehicle: Trainset.
+        track: Section.
+        at: Nodes, m.
+        uphill: Mean of what gradient and curves take from each node to the next, m/s^2. Shape (N - 1,).
+        length_m: Distance to the stop.
+        felt_s: Time for which the gradient before may still be felt.
     """
     mass, ends = float(vehicle.effective_mass_kg), float(vehicle.max_deceleration_mps2)
-    uphill = _mean_uphill(vehicle, track, at)
 
     def dissipated_work(sure: np.ndarray) -> np.ndarray:
         able = np.clip(0.5 * (sure[1:] + sure[:-1]) + uphill, LEAST_STOP_MPS2, ends)
