@@ -27,7 +27,7 @@ from metropilot.evaluate import RunSpec
 from metropilot.physics import vehicle_arrays
 from metropilot.planning import joint_minimum_running_time
 from metropilot.protection import spare_gap
-from metropilot.railway import load_line, load_trainset
+from metropilot.railway import Line, Station, Steps, load_line, load_trainset
 from metropilot.sim import Disturbance, TimetableUpdate
 
 DT = 0.1
@@ -160,6 +160,22 @@ def test_every_trainset_meets_every_requirement(count, factors, link):
     assert sum(m.joint_energy_kwh for m in kpis.trainsets) == pytest.approx(kpis.joint_optimal_energy_kwh)
     assert kpis.trainsets[0].gap_error_m is None
     assert 0.0 < max(m.gap_error_m for m in kpis.trainsets[1:]) < 1.0
+
+
+@pytest.mark.parametrize(("follower", "permil"), [("follow_plan", -14.0), ("follow_mpc", -38.0)])
+def test_followers_depart_on_a_fall(follower, permil):
+    """They wanted less at first than the fall gives, and asked for the brake, which held them for good."""
+    line = Line(
+        id="fall",
+        name="fall",
+        stations=(Station("A", "Alpha", 0.0), Station("B", "Beta", 400.0)),
+        limit_mps=Steps(np.array([-300.0]), np.array([10.0])),
+        gradient_permil=Steps(np.array([-300.0, 100.0]), np.array([permil, 0.0])),
+    )
+    asked = request(time_s=70.0, count=2, follower=follower)
+    convoy = replace(asked.convoy(), section=line.section("A", "B"))
+    kpis = convoy_kpis(drive_convoy(convoy, asked.driven_head(convoy), asked.make_follower()), 70.0)
+    assert kpis.success, kpis.verdict
 
 
 def test_a_declared_dead_time_is_answered():

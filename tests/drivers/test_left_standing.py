@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 
 from metropilot.drivers import DRIVERS
-from metropilot.railway import load_line, load_trainset
-from metropilot.sim import Outcome, Rollout, Run
+from metropilot.evaluate import kpi_rows, kpis_of, optimum_of
+from metropilot.planning import minimum_running_time
+from metropilot.railway import Line, Station, Steps, load_line, load_trainset
+from metropilot.sim import Outcome, Rollout, Run, drive
 
 DKZ32 = load_trainset("dkz32")
 LATE = replace(DKZ32, actuation=replace(DKZ32.actuation, delay_s=0.8, lag_s=0.4))
@@ -19,6 +21,32 @@ ANYWHERE = (
 """Drivers that are offered for any line."""
 
 
+def on_a_fall(length_m):
+    """A section that falls by 38 permil all the way."""
+    line = Line(
+        id="fall",
+        name="fall",
+        stations=(Station("A", "Alpha", 0.0), Station("B", "Beta", length_m)),
+        limit_mps=Steps(np.array([-300.0]), np.array([15.0])),
+        gradient_permil=Steps(np.array([-300.0]), np.array([-38.0])),
+    )
+    return line.section("A", "B")
+
+
+def brake_once(run, driver, left_m):
+    """Outcome and end of a drive whose emergency brake acts once, at a distance from the stop."""
+    rollout, length_m = Rollout(run, DRIVERS.make(driver)), run.section.length_m
+    braked = False
+    while rollout.outcome is None:
+        moment = rollout.advance()
+        if not braked and length_m - moment.position_m < left_m:
+            braked = True
+            latched = rollout.state.supervision._replace(emergency=np.bool_(True))
+            rollout.state = rollout.state._replace(supervision=latched)
+    assert braked
+    return rollout.outcome, moment.time_s
+
+
 @pytest.mark.parametrize("driver", ANYWHERE)
 @pytest.mark.parametrize(
     ("trainset", "left_m"),
@@ -27,15 +55,36 @@ ANYWHERE = (
 )
 def test_nobody_is_left_standing_short_of_the_stop(driver, trainset, left_m):
     """An emergency brake on the way, however near to the stop, is followed by a drive to the mark."""
-    rollout = Rollout(Run(SECTION, trainset, 101.0), DRIVERS.make(driver))
-    braked = False
-    while rollout.outcome is None:
-        moment = rollout.advance()
-        if not braked and SECTION.length_m - moment.position_m < left_m:
-            braked = True
-            latched = rollout.state.supervision._replace(emergency=np.bool_(True))
-            rollout.state = rollout.state._replace(supervision=latched)
-    assert braked
-    assert rollout.outcome is Outcome.ARRIVED
+    outcome, time_s = brake_once(Run(SECTION, trainset, 101.0), driver, left_m)
+    assert outcome is Outcome.ARRIVED
     # ddpg_pid, whose policy knows no dead time, comes late by itself
-    assert moment.time_s < (200.0 if driver == "ddpg_pid" else 135.0)
+    assert time_s < (200.0 if driver == "ddpg_pid" else 135.0)
+
+
+@pytest.mark.parametrize("driver", ANYWHERE)
+def test_nobody_is_left_standing_on_a_fall(driver):
+    """The experts and `manual` asked for the brake that would be right in motion, which held the trainset."""
+    section = on_a_fall(400.0)
+    time_s = 1.4 * minimum_running_time(section, LATE)
+    outcome, ended_s = brake_once(Run(section, LATE, time_s), driver, 25.0)
+    assert outcome is Outcome.ARRIVED
+    assert ended_s < time_s + 60.0
+
+
+@pytest.mark.parametrize("driver", ["optimal", "mpc", "generalist"])
+@pytest.mark.parametrize("trainset", [DKZ32, load_trainset("cheng2023@0.5,0.3")], ids=["dkz32", "late"])
+def test_a_drive_that_a_fall_does_alone_begins(driver, trainset):
+    """They braked from the first moment, and never left. A drive that needs nothing has no excess over it."""
+    section = on_a_fall(600.0)
+    run = Run(section, trainset, 1.7 * minimum_running_time(section, trainset))
+    driven = drive(run, DRIVERS.make(driver))
+    assert driven.outcome is Outcome.ARRIVED
+    # `generalist` does not brake to be slower, and arrives early
+    late_s = driven.running_time_s - driven.scheduled_time_s
+    assert late_s < 1.0
+    assert late_s > -1.0 or driver == "generalist"
+    assert driven.interventions == 0
+    kpis = kpis_of(driven, optimum_of(driven))
+    assert kpis.optimal_energy_kwh < 0.005
+    assert kpis.optimality_gap_percent is kpis.trainset_gap_percent is kpis.driver_gap_percent is None
+    assert not [row for row in kpi_rows(kpis.as_dict()) if row.value.startswith("-0.00")]

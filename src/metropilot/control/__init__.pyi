@@ -9,6 +9,7 @@ from .ceiling import ceiling_of as ceiling_of
 from .ceiling import closing_acceleration as closing_acceleration
 from .ceiling import largest_admissible_command as largest_admissible_command
 from .ceiling import model_of as model_of
+from .ceiling import start_on_fall as start_on_fall
 from .ceiling import traction_limit as traction_limit
 from .coasting import COAST_SHARES as COAST_SHARES
 from .coasting import Forecast as Forecast
@@ -47,6 +48,7 @@ from .stopping import AT_ONCE_MPS3 as AT_ONCE_MPS3
 from .stopping import LAG_SOFT_M as LAG_SOFT_M
 from .stopping import LAG_STOP as LAG_STOP
 from .stopping import SERVICE_USE as SERVICE_USE
+from .stopping import STARTS_SHARE as STARTS_SHARE
 from .stopping import STOP_OPTIONS as STOP_OPTIONS
 from .stopping import STRONGEST_MPS2 as STRONGEST_MPS2
 from .stopping import Stop as Stop
@@ -69,6 +71,7 @@ from .stopping import required_later as required_later
 from .stopping import required_with_build_up as required_with_build_up
 from .stopping import settle as settle
 from .stopping import stand as stand
+from .stopping import start_command as start_command
 from .stopping import stop_command as stop_command
 from .stopping import stop_deceleration as stop_deceleration
 from .stopping import stop_with_brake as stop_with_brake

@@ -61,6 +61,8 @@ FADE_POINTS = 25
 """Points at which a brake is looked at between the present speed and standstill."""
 NEAREST_M = 1e-3
 """Distance below which the target is reached."""
+STARTS_SHARE, STARTS_PULL_MPS2 = 0.05, 0.05
+"""Least command of a trainset that leaves a stand on a fall, and the pull from which on that is one."""
 
 
 @dataclass(frozen=True)
@@ -674,6 +676,23 @@ def draws_up(
     then_mps = speed_mps + rise * (lag_s + 0.5 * rise / xp.minimum(jerk_mps3, AT_ONCE_MPS3))
     most = 2.0 * options.draw_up_share * options.draw_up_mps2 * distance_m
     return (distance_m >= options.inch_m) & (then_mps * then_mps < most)
+
+
+@no_type_check
+def start_command(share: Scalar, speed_mps: Scalar, drag_mps2: Scalar, goes: Flag = True) -> Scalar:
+    """Command that lets a trainset leave a stand on a fall that pulls harder than it may want to accelerate.
+
+    The holding brake waits for traction; coasting, or a brake that would be right in motion, keeps it there.
+
+    Args:
+        share: Command wanted.
+        speed_mps: Speed.
+        drag_mps2: Resistance and gradient over the effective mass.
+        goes: True if it is to leave.
+    """
+    xp = namespace(share, speed_mps, drag_mps2)
+    held = (speed_mps <= 0.0) & (drag_mps2 < -STARTS_PULL_MPS2)
+    return xp.where(held & goes, xp.maximum(share, STARTS_SHARE), share)
 
 
 def deceleration_to(model: Model, estimate: StateEstimate, stop: Stop) -> float:

@@ -311,6 +311,8 @@ def _journey(
                 f"a convoy of {count} draws up beyond the next stop",
                 field="platform_m",
                 value=options.platform_m,
+                unit="m",
+                allowed="longer platforms, or fewer trainsets",
             )
         for j, mark in enumerate(marks):
             if k:

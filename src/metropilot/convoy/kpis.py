@@ -29,6 +29,7 @@ from metropilot.evaluate import (
     max_jerk,
     verdict_words,
 )
+from metropilot.planning import excess_percent
 from metropilot.sim import PUNCTUALITY_S, STOP_TOLERANCE_M, Outcome
 from metropilot.units import J_PER_KWH, KMH_PER_MPS
 
@@ -137,7 +138,7 @@ class ConvoyKpis:
         energy_wheel_kwh: Traction energy at the wheel, summed over the trainsets.
         joint_optimal_energy_kwh: Joint optimum of the convoy for the achieved running time; None where there
             is none (see :func:`metropilot.convoy.joint_optimum`) or the convoy did not arrive.
-        joint_gap_percent: Energy above the joint optimum; None likewise.
+        joint_gap_percent: Energy above the joint optimum; None likewise, and where that is next to nothing.
         trainsets: KPIs of each trainset, the head first.
         manoeuvres: Couplings and uncouplings on the move.
     """
@@ -241,7 +242,7 @@ def convoy_kpis(drive: ConvoyDrive, scheduled_time_s: float) -> ConvoyKpis:
         contacts=drive.contacts,
         energy_wheel_kwh=energy_kwh,
         joint_optimal_energy_kwh=None if optimal_j is None else optimal_j / J_PER_KWH,
-        joint_gap_percent=None if optimal_j is None else 100.0 * (energy_kwh * J_PER_KWH / optimal_j - 1.0),
+        joint_gap_percent=None if optimal_j is None else excess_percent(energy_kwh * J_PER_KWH, optimal_j),
         trainsets=rows,
         manoeuvres=find_manoeuvres(drive),
     )

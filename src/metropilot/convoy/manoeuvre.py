@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import math
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import TYPE_CHECKING, Literal
@@ -255,11 +256,10 @@ def _check_coupling(convoy: Convoy, members: Sequence[Member], head: MotionPlan)
     least_m = max(_least_gaps(convoy, members, head, convoy.first_gap_m))
     if least_m <= convoy.gap_m + BAND_M:
         return
-    low, high = convoy.gap_m, convoy.first_gap_m
-    for _ in range(TRIALS):
-        middle = 0.5 * (low + high)
-        fits = max(_least_gaps(convoy, members, head, middle)) <= convoy.gap_m + BAND_M
-        low, high = (middle, high) if fits else (low, middle)
+    closes = lambda gap_m: (  # noqa: E731 - two lines, used once
+        max(_least_gaps(convoy, members, head, gap_m)) <= convoy.gap_m + BAND_M
+    )
+    largest_m = _last_that(closes, convoy.gap_m, convoy.first_gap_m)
     place_m = min(convoy.uncouple_at_m, convoy.section.length_m)
     before = "it uncouples" if place_m < convoy.section.length_m else "the stop"
     room_m = place_m * (convoy.first_gap_m - convoy.gap_m) / max(convoy.first_gap_m - least_m, 1.0)
@@ -270,39 +270,51 @@ def _check_coupling(convoy: Convoy, members: Sequence[Member], head: MotionPlan)
         field="start_gap_m",
         value=convoy.first_gap_m,
         unit="m",
-        allowed=f"up to about {low:.0f} m here"
-        if low > convoy.gap_m + BAND_M
+        allowed=f"up to about {largest_m:.0f} m here"
+        if largest_m > convoy.gap_m + BAND_M
         else f"{convoy.gap_m:g} m, coupled from the start",
     )
 
 
-def _opens_by(convoy: Convoy, members: Sequence[Member], head: MotionPlan, place_m: float) -> bool:
+def _opens_by(
+    convoy: Convoy, members: Sequence[Member], head: MotionPlan, place_m: float, apart_m: float
+) -> bool:
     """Tell if every planned gap is open when the trainset ahead reaches a place."""
     shift = place_m - convoy.uncouple_at_m
-    moved = [each._replace(uncouple_at_m=each.uncouple_at_m + shift) for each in members]
+    wanted = np.asarray(apart_m, members[0].apart_m.dtype)
+    moved = [each._replace(uncouple_at_m=each.uncouple_at_m + shift, apart_m=wanted) for each in members]
     plans = plan_followers(moved, head, convoy.first_gap_m)
     reached = [gap[ahead.position_m >= place_m] for ahead, gap in _gaps(members, plans)]
-    return all(gap[0] >= convoy.apart_m - BAND_M for gap in reached if gap.size)
+    return all(gap[0] >= apart_m - BAND_M for gap in reached if gap.size)
 
 
 def _check_uncoupling(convoy: Convoy, members: Sequence[Member], head: MotionPlan) -> None:
-    if _opens_by(convoy, members, head, convoy.uncouple_at_m):
+    place_m, apart_m = convoy.uncouple_at_m, convoy.apart_m
+    if _opens_by(convoy, members, head, place_m, apart_m):
         return
-    low, high = convoy.uncouple_at_m, LAST_SHARE * convoy.section.length_m
-    possible = _opens_by(convoy, members, head, high)
-    for _ in range(TRIALS if possible else 0):
-        middle = 0.5 * (low + high)
-        fits = _opens_by(convoy, members, head, middle)
-        low, high = (low, middle) if fits else (middle, high)
+    last_m, nearest_m = LAST_SHARE * convoy.section.length_m, convoy.gap_m + BAND_M
+    if _opens_by(convoy, members, head, last_m, apart_m):
+        opens = lambda at_m: _opens_by(convoy, members, head, at_m, apart_m)  # noqa: E731 - used once
+        allowed = f"from about {_round_up(_last_that(opens, last_m, place_m))} m on"
+    else:
+        opens = lambda gap_m: _opens_by(convoy, members, head, place_m, gap_m)  # noqa: E731 - used once
+        largest_m = math.floor(_last_that(opens, nearest_m, apart_m))
+        allowed = f"up to about {largest_m} m there" if largest_m > nearest_m else "a smaller gap farther on"
     raise Infeasible(
-        f"gaps of {convoy.apart_m:g} m cannot be open there",
+        f"gaps of {apart_m:g} m cannot be open there",
         field="uncouple_at_m",
-        value=f"{convoy.uncouple_at_m:g}",
+        value=place_m,
         unit="m",
-        allowed=f"from about {_round_up(high)} m on"
-        if possible
-        else f"a smaller gap than {convoy.apart_m:g} m",
+        allowed=allowed,
     )
+
+
+def _last_that(holds: Callable[[float], bool], good: float, bad: float) -> float:
+    """The number farthest from a good one toward a bad one that still holds, by halving."""
+    for _ in range(TRIALS):
+        middle = 0.5 * (good + bad)
+        good, bad = (middle, bad) if holds(middle) else (good, middle)
+    return good
 
 
 def _round_up(distance_m: float) -> int:

@@ -39,6 +39,7 @@ from metropilot.control import (
     record_command,
     required_later,
     required_with_build_up,
+    start_on_fall,
     stop_command,
     time_to_go,
     traction_limit,
@@ -146,6 +147,7 @@ class Manual(AbstractDriver):
         )
         intent = _review_timing(memory, estimate, observation)
         wanted, intent = _decide(memory._replace(estimate=estimate, intent=intent))
+        wanted = start_on_fall(memory.model, observation, wanted)
         lever = _move_lever(memory.lever, wanted, observation.time_s, memory.habits, intent)
         memory = memory._replace(estimate=record_command(estimate, lever.share), intent=intent, lever=lever)
         return lever.share, memory

@@ -14,7 +14,7 @@ import numpy as np
 
 from metropilot._registry import Registry, RegistryRow
 from metropilot._typing import Array, Bool, Num, Scalar
-from metropilot.control import STOP_OPTIONS
+from metropilot.control import STARTS_SHARE, STOP_OPTIONS
 from metropilot.env.features import FASTER_MPS, FeatureContext
 from metropilot.env.interface import ActionSpace
 from metropilot.errors import InputError
@@ -40,8 +40,8 @@ GAIN_S = 5.0
 """Time over which a trainset gains the speed that it lacks."""
 
 
-STANDING_MPS, STARTS_MPS2, STARTS_SHARE = 0.1, 0.3, 0.05
-"""A trainset slower than this before the stop is started: so fast, and with traction even on a fall."""
+STANDING_MPS, STARTS_MPS2 = 0.1, 0.3
+"""A trainset slower than this before the stop is started, so fast."""
 
 
 class AbstractAction(ABC):

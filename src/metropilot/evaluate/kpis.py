@@ -13,7 +13,7 @@ from metropilot._typing import Float
 from metropilot.evaluate import measures
 from metropilot.evaluate.measures import motion_energy_jpkg
 from metropilot.evaluate.optimum import Optimum
-from metropilot.planning import Objective, round_up_time
+from metropilot.planning import Objective, excess_percent, round_up_time
 from metropilot.sim import OVERSPEED_MPS, PUNCTUALITY_S, STOP_TOLERANCE_M, Drive, Outcome
 from metropilot.units import J_PER_KWH, KMH_PER_MPS
 
@@ -116,7 +116,8 @@ class Kpis:
         optimal_energy_kwh: Least such energy for the achieved running time under the same limits.
         bound_energy_kwh: The certificate: no drive of the convex problem needs less.
         certificate_gap_percent: Largest possible excess of the optimal plan over the true optimum.
-        optimality_gap_percent: Excess of this drive over the optimal plan.
+        optimality_gap_percent: Excess of this drive over the optimal plan; like the next two None where that
+            needs next to nothing, as on a long fall.
         attainable_energy_kwh: Least such energy with the trainset's jerk limit, dead time and lag, under the
             permitted speed.
         attainable_bound_kwh: No drive within jerk limit and permitted speed needs less.
@@ -272,15 +273,15 @@ def _against(drive: Drive, optimum: Optimum | None, objective: Objective) -> dic
     found |= {
         "optimal_energy_kwh": plan.energy_j / J_PER_KWH,
         "bound_energy_kwh": plan.bound_j / J_PER_KWH,
-        "certificate_gap_percent": 100.0 * (plan.energy_j / plan.bound_j - 1.0),
-        "optimality_gap_percent": 100.0 * (used / plan.energy_j - 1.0),
+        "certificate_gap_percent": 100.0 * plan.gap,
+        "optimality_gap_percent": excess_percent(used, plan.energy_j),
     }
     if attainable is not None:
         found |= {
             "attainable_energy_kwh": attainable.energy_kwh,
             "attainable_bound_kwh": attainable.bound_j / J_PER_KWH,
-            "trainset_gap_percent": 100.0 * (attainable.energy_j / plan.energy_j - 1.0),
-            "driver_gap_percent": 100.0 * (used / attainable.energy_j - 1.0),
+            "trainset_gap_percent": excess_percent(attainable.energy_j, plan.energy_j),
+            "driver_gap_percent": excess_percent(used, attainable.energy_j),
         }
     return found
 
@@ -311,7 +312,8 @@ def kpi_rows(kpis: Mapping[str, Any]) -> list[KpiRow]:
 
     def value(name: str, digits: int, unit: str = "") -> str:
         found = kpis.get(name)
-        return "–" if found is None else f"{found:.{digits}f} {unit}".rstrip()
+        # a bound of -1e-6 kWh is no negative one
+        return "–" if found is None else f"{round(found, digits) + 0.0:.{digits}f} {unit}".rstrip()
 
     gap, bound = kpis.get("certificate_gap_percent"), value("attainable_bound_kwh", 2, "kWh")
     certificate = "" if gap is None else f"certified within {max(gap, 0.001):.3f} %"

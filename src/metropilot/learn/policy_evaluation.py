@@ -17,7 +17,7 @@ import numpy as np
 
 from metropilot._typing import Array
 from metropilot.env import DrivingTask, episode_of, starts
-from metropilot.planning import cached_optima
+from metropilot.planning import COUNTS_J, cached_optima
 from metropilot.policy import Params, PolicySpec, act
 from metropilot.sim import CODES, PUNCTUALITY_S, Episode, Outcome
 from metropilot.units import J_PER_KWH
@@ -128,7 +128,8 @@ class DrivingEvaluation:
             & (episode.interventions == 0)
             & (episode.max_overspeed_mps <= OVERSPEED_MPS)
         )
-        return EvaluationRuns(episode, safe, episode.wheel_j / optimum - 1.0, late)
+        # on a long fall the optimum is zero
+        return EvaluationRuns(episode, safe, episode.wheel_j / jnp.maximum(optimum, COUNTS_J) - 1.0, late)
 
     def _starts(self, key: Array) -> Any:
         """From standstill, disturbed as the task disturbs."""

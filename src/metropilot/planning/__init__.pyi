@@ -36,10 +36,12 @@ from .mesh import limit_at as limit_at
 from .optima import Optima as Optima
 from .optima import cached_optima as cached_optima
 from .optima import optima_of as optima_of
+from .optimal import COUNTS_J as COUNTS_J
 from .optimal import START_STRETCH_M as START_STRETCH_M
 from .optimal import Front as Front
 from .optimal import Plan as Plan
 from .optimal import PlanOptions as PlanOptions
+from .optimal import excess_percent as excess_percent
 from .optimal import fastest_time as fastest_time
 from .optimal import minimum_running_time as minimum_running_time
 from .optimal import optimal_plan as optimal_plan

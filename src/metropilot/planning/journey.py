@@ -114,7 +114,10 @@ def timetable_waypoints(
         planned = line.section(here, there).planned_time_s
         if planned is None and total_s is None:
             raise InputError(
-                "the line has no planned running time", file=line.id, field=f"{here.code}-{there.code}"
+                "the line has no planned running time",
+                file=line.id,
+                field=f"{here.code}-{there.code}",
+                allowed="a timetable in the line's file, or a time for the whole journey",
             )
         clock += planned or 0.0
         stay = dwell.get(there.code, 0.0) if there is not way[-1] else 0.0

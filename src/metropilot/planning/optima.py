@@ -57,15 +57,6 @@ class Optima:
             found[mine] = curve(np.asarray(time_s, float)[mine])
         return found
 
-    def gap(
-        self,
-        case: Int[ndarray, " drives"],
-        time_s: Float[ndarray, " drives"],
-        wheel_j: Float[ndarray, " drives"],
-    ) -> Float[ndarray, " drives"]:
-        """Relative excess of drives over the optimal energy at the same running time."""
-        return wheel_j / self.at(case, time_s) - 1.0
-
 
 def optima_of(
     cases: Sequence[tuple[Section, Trainset]],

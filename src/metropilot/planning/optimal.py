@@ -45,6 +45,8 @@ MESH_TOLERANCE = 2e-4
 SLOW_PER_M = 1e-6
 NOTHING_J = 1e3
 """Below this an energy counts as none in the certificate."""
+COUNTS_J = 1.8e4
+"""Optimum, 0.00 kWh in a table, below which no excess over it is stated: on a long fall it is zero."""
 FINE_M = 2.0
 START_STRETCH_M = 3.0
 LEAST_HELD_MPS2 = 0.15
@@ -144,6 +146,16 @@ class Plan:
     def energy_kwh(self) -> float:
         """Objective, kWh."""
         return self.energy_j / J_PER_KWH
+
+
+def excess_percent(energy_j: float, least_j: float) -> float | None:
+    """Energy above the least one, %; None where there is next to nothing to compare with.
+
+    Args:
+        energy_j: Energy of a drive.
+        least_j: Energy of the optimum; at the line it may be negative, more returned than drawn.
+    """
+    return 100.0 * (energy_j / least_j - 1.0) if least_j >= COUNTS_J else None
 
 
 def minimum_running_time(

@@ -32,6 +32,7 @@ from metropilot.control import (
     curve_for,
     draws_up,
     settle,
+    start_command,
     stop_deceleration,
 )
 from metropilot.convoy.drivers.base import AbstractFollower, Memory, waits
@@ -60,6 +61,8 @@ NEAR_ENOUGH_M, CREEP_M = 0.04, 0.05
 """Error at the stop that is not worth a correction in the last period; distance at which creeping ends."""
 PULL_S, BRAKE_S, HARSH_MPS2 = 0.1, 0.5, 1e3
 """Times beyond the lag in which spare gap is used, and a lack of it made up for; no limit of acceleration."""
+GOES_MPS2 = 0.05
+"""Acceleration wanted from which on a trainset leaves a stand."""
 SHIFT_M = 0.5
 """Departure of the trainset ahead at its stop that does not move the own mark."""
 RELEASE_SHARE, LAG_RELEASE_SHARE = 0.8, 0.3
@@ -302,13 +305,16 @@ def command(
     wanted = xp.minimum(wanted_mps2, vehicle.max_acceleration_mps2)
     passes = xp.minimum(observation.most_rise_mps2, most_in_gap(observation, ahead))
     wanted = xp.minimum(wanted, passes)
+    goes = wanted > GOES_MPS2
     wanted = xp.maximum(wanted, -vehicle.max_deceleration_mps2)
     room = JERK_USE * vehicle.jerk_mps3 * observation.period_s
     wanted = xp.clip(wanted, ahead.acceleration_mps2 - room, ahead.acceleration_mps2 + room)
     # What a command adds against the lag counts for protection, too.
     most = xp.where(vehicle.lag_s > 0.0, xp.maximum(ahead.share_for(passes, lead=0.0), 0.0), 1.0)
     most = xp.minimum(most, most_share(observation.needs, observation.gap_m))
-    share = xp.minimum(ahead.share_for(wanted, lead=1.0), most)
+    drag = ahead.resistance_mps2 + ahead.gradient_mps2
+    share = start_command(ahead.share_for(wanted, lead=1.0), observation.speed_mps, drag, goes)
+    share = xp.minimum(share, most)
     stands = waits(observation, observation.desired_gap_m)
     if observation.plan is not None:
         left_m = own_mark(memory, observation) - observation.position_m

@@ -35,6 +35,7 @@ from metropilot.control import (
     largest_admissible_command,
     model_of,
     record_command,
+    start_command,
     update_estimate,
 )
 from metropilot.drivers import (
@@ -237,6 +238,8 @@ def decide(
         rate = _creep(memory, ahead, _rate(memory, seen, wanted))
         effort = _keep_safe(memory, observation, ahead, rate)
         share = ahead.command_for(effort)
+    short = ground.length_m - observation.position_m > HOA_STOP.inch_m
+    share = start_command(share, observation.speed_mps, ahead.resistance_mps2 + ahead.gradient_mps2, short)
     supervision = memory.supervision
     # What is on its way, or built up, cannot be taken back: protection is asked before it has to intervene.
     guard = memory.ceiling.guard

@@ -100,7 +100,7 @@ def explain_words(told: dict[str, Any], kpis: dict[str, Any]) -> str:
     ]
     said = [_("Bound by {parts} of the time.", parts=", ".join(parts))]
     lost = [span for span in told["regimes"] if span["driver_loss_j"] is not None]
-    if lost and kpis["optimal_energy_kwh"] is not None:
+    if lost and kpis["trainset_gap_percent"] is not None:
         worst = max(lost, key=lambda span: span["driver_loss_j"])
         said.append(
             _(
