@@ -5,8 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from metropilot.evaluate import best, compare, comparison_json, jobs
+from metropilot.evaluate import best, best_of, compare, comparison_json, jobs
 from metropilot.evaluate.comparison import bootstrap
+from metropilot.evaluate.figures import comparison_figure
 from metropilot.evaluate.folder import write_comparison
 
 
@@ -58,6 +59,40 @@ def test_the_best_is_the_lowest_of_those_that_succeed(entries):
     )
     assert best([first, thrifty, lost, rough], "energy_wheel_kwh") == "b"
     assert best([first, lost], "energy_wheel_kwh") is None, "the best needs a rival"
+
+
+def test_whoever_returns_most_is_best_at_the_line_and_an_error_counts_either_way():
+    assert best_of({"a": -4.0, "b": -4.8, "c": 1.0}, "energy_line_kwh") == "b"
+    assert best_of({"a": -4.0, "b": 0.5, "c": 1.0}, "time_error_s") == "b"
+
+
+def test_the_figure_of_many_drivers_keeps_its_words_apart(entries):
+    """The legend ran out of the figure, the key of the energies over the curves and below the axis."""
+    first = entries[1][0]
+    names = [
+        "optimal",
+        "mpc",
+        "generalist",
+        "eitoe",
+        "eitop",
+        "itor",
+        "ston",
+        "stod",
+        "flat_out",
+        "manual",
+        "pid",
+    ]
+    figure = comparison_figure([replace(first, driver=name) for name in names])
+    figure.canvas.draw()
+    whole, (speed, _, energy) = figure.bbox, figure.axes
+    legend, key = (axes.get_legend().get_window_extent() for axes in (speed, energy))
+    assert whole.x0 <= legend.x0 <= legend.x1 <= whole.x1
+    for words in speed.texts[-2:]:
+        extent = words.get_window_extent()
+        assert legend.y1 <= extent.y0 <= extent.y1 <= whole.y1
+    highest = max(float(line.get_ydata().max()) for line in energy.lines)
+    assert key.x1 <= energy.bbox.x1
+    assert key.y0 >= energy.transData.transform((0.0, highest))[1]
 
 
 def test_bootstrap_repeats_itself_and_holds_the_mean():

@@ -5,6 +5,7 @@ from .comparison import Entry as Entry
 from .comparison import Interval as Interval
 from .comparison import Job as Job
 from .comparison import best as best
+from .comparison import best_of as best_of
 from .comparison import compare as compare
 from .comparison import jobs as jobs
 from .difference import RunDifference as RunDifference

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -17,6 +17,8 @@ from metropilot.sim import Drive, drive
 
 CONFIDENCE = 0.95
 RESAMPLES = 2000
+ERRORS = ("time_error_s", "stopping_error_m")
+"""KPIs that are best when they are zero; of the others the lowest is best."""
 
 
 class Interval(NamedTuple):
@@ -122,6 +124,17 @@ def bootstrap(values: Float[ndarray, " seeds"]) -> Interval:
 
 
 def best(entries: Sequence[Entry], name: str) -> str | None:
-    """The driver with the lowest magnitude of a KPI among those that always met every requirement."""
+    """The best driver in a KPI among those that always met every requirement."""
     means = {e.driver: i.mean for e in entries if e.successes == len(e.kpis) and (i := e.interval(name))}
-    return min(means, key=lambda d: abs(means[d])) if len(means) > 1 else None
+    return best_of(means, name)
+
+
+def best_of(means: Mapping[str, float], name: str) -> str | None:
+    """The driver with the lowest mean of a KPI, of an error with the smallest; None if there is one alone.
+
+    Args:
+        means: Mean of each driver.
+        name: The KPI.
+    """
+    lowest = abs if name in ERRORS else float
+    return min(means, key=lambda driver: lowest(means[driver])) if len(means) > 1 else None

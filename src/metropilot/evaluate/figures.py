@@ -40,6 +40,8 @@ if TYPE_CHECKING:
 
 WIDTH_IN, HEIGHT_IN = 8.4, 7.2
 HEIGHTS = (10.0, 2.2, 2.6, 4.2)
+KEY_ROWS = 4
+"""Drivers in one column of the key of their energies."""
 
 
 def profile_figure(drive: Drive, kpis: Kpis, optimum: Optimum | None) -> Figure:
@@ -263,12 +265,15 @@ def comparison_figure(entries: Sequence[Entry]) -> Figure:
         draw_gradient(gradient, first.section)
         energy.set_ylabel("energy (kWh)")
         label_panel(energy, "traction energy at the wheel")
-        energy.set_ylim(0, (1.1 + 0.1 * len(entries)) * energy.get_ylim()[1])
-        energy.legend(loc="upper left", borderaxespad=0.2, labelspacing=0.3)
+        columns = 1 + (len(entries) - 1) // KEY_ROWS
+        key = energy.legend(loc="upper left", borderaxespad=0.2, labelspacing=0.3, ncols=columns)
         furthest = max(float(e.drives[0].trajectory.position_m[-1]) for e in entries)
         set_distance(energy, first.section, furthest)
         below = f"{first.run.trainset.id} {first.run.trainset.load}, scheduled {first.scheduled_time_s:g} s"
         add_headline(speed, name_section(first.section), below)
+        # the curves stay below their key
+        free = (key.get_window_extent().y0 - energy.bbox.y0) / energy.bbox.height
+        energy.set_ylim(0, energy.get_ylim()[1] / free)
         return figure
 
 

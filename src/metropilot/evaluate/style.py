@@ -62,6 +62,8 @@ def driver_styles(drivers: Sequence[str]) -> dict[str, tuple[str, Any]]:
     }
 
 
+LEGEND_SHARE, LINE_PT = 0.9, 15
+"""Share of a figure's width that a line of a legend may take, and its height."""
 SETTINGS: Any = {
     "font.family": "sans-serif",
     "font.sans-serif": ["DejaVu Sans"],
@@ -154,16 +156,25 @@ def label_panel(axes: Axes, text: str) -> None:
 def add_headline(axes: Axes, title: str, below: str) -> None:
     """Title, a line below it, and the legend as a third line, all flush with the left edge of the axes."""
     handles, _ = axes.get_legend_handles_labels()
-    room = 15 if len(handles) > 1 else 0
-    above: Any = {"xy": (0, 1), "xycoords": "axes fraction", "textcoords": "offset points"}
-    axes.annotate(title, xytext=(0, 22 + room), fontsize=11, weight="bold", **above)
-    axes.annotate(below, xytext=(0, 8 + room), fontsize=8, color=GREY, **above)
-    if len(handles) > 1:
-        axes.legend(
+    rows = 0
+    while len(handles) > 1:
+        rows += 1
+        legend = axes.legend(
             loc="lower left",
             bbox_to_anchor=(0, 1.0),
-            ncols=len(handles),
+            ncols=-(-len(handles) // rows),
             borderaxespad=0.5,
             borderpad=0,
             columnspacing=1.6,
         )
+        # a legend of many drivers takes more than one line
+        if rows == len(handles) or legend.get_window_extent().width <= LEGEND_SHARE * axes.figure.bbox.width:
+            break
+    if rows > 1:
+        lower_in = TOP_IN + (rows - 1) * LINE_PT / 72
+        axes.get_gridspec().update(top=1 - lower_in / axes.figure.get_figheight())
+        for panel in axes.figure.axes:
+            panel.set_position(panel.get_subplotspec().get_position(axes.figure))
+    above: Any = {"xy": (0, 1), "xycoords": "axes fraction", "textcoords": "offset points"}
+    axes.annotate(title, xytext=(0, 22 + LINE_PT * rows), fontsize=11, weight="bold", **above)
+    axes.annotate(below, xytext=(0, 8 + LINE_PT * rows), fontsize=8, color=GREY, **above)

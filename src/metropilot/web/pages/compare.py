@@ -8,6 +8,7 @@ from fastapi import Request
 from nicegui import ui
 
 from metropilot.errors import MetropilotError
+from metropilot.evaluate import best_of
 from metropilot.units import J_PER_KWH
 from metropilot.web import catalogue
 from metropilot.web.errors import Refused
@@ -253,9 +254,9 @@ def compare_table(entries: list[dict[str, Any]]) -> None:
     sound = [e for e in entries if e["successes"] == e["seeds"]]
     best = {}
     for name, _words, _factor, _digits in SHOWN:
-        values = {e["driver"]: abs(e["kpis"][name]["mean"]) for e in sound if e["kpis"].get(name)}
-        if len(values) > 1 and name not in UNJUDGED:
-            best[name] = min(values, key=lambda d: values[d])
+        means = {e["driver"]: e["kpis"][name]["mean"] for e in sound if e["kpis"].get(name)}
+        if name not in UNJUDGED and (found := best_of(means, name)) is not None:
+            best[name] = found
     rows = []
     for entry in entries:
         cells: list[Any] = [entry["driver"], outcome(entry)]
