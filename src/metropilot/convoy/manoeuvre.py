@@ -23,13 +23,11 @@ if TYPE_CHECKING:
     from metropilot.convoy.rollout import ConvoyDrive
 
 BAND_M, BAND_MPS = 0.5, 0.2
-"""Errors of gap and speed within which trainsets count as coupled, or as parted."""
+"""Errors of gap and speed within which trainsets count as coupled; of the gap, as parted."""
 HOLD_S = 3.0
 """Time for which they must stay within both."""
 MOVES_MPS = 1.0
 """Least speed at which a planned gap must be closed: coupled on the move."""
-PLACE_M = 10.0
-"""Distance beyond the place by which the speed difference of an open gap must have died out."""
 FAR_TIMES = 10.0
 """Ways longer than so many times the room are not told in metres."""
 TRIALS = 6
@@ -49,8 +47,9 @@ class Manoeuvre:
         kind: ``coupling`` or ``uncoupling``.
         trainset: Number of the follower; 1 is the head.
         begun_s: Time since departure at which the gap begins to change.
-        done_s: Time from which gap and speed difference stay within ``BAND_M`` and ``BAND_MPS`` of their goal
-            for ``HOLD_S``, while both it and the trainset ahead move; None: never.
+        done_s: Time from which the gap is within ``BAND_M`` of its goal for ``HOLD_S``, or wider once it is
+            open, while both it and the trainset ahead move; None: never. Coupled trainsets also differ by at
+            most ``BAND_MPS`` in speed.
         begun_m: Position at the beginning.
         done_m: Position when it is done; None: never.
         place_m: Place by which it must be done; None for a coupling, which must be done before the stop.
@@ -84,7 +83,7 @@ class Manoeuvre:
         """True if it was done before the stop, or by its place."""
         if self.done_m is None:
             return False
-        return self.place_m is None or self.done_m <= self.place_m + PLACE_M
+        return self.place_m is None or self.done_m <= self.place_m
 
 
 def couples(convoy: Convoy) -> bool:
@@ -108,12 +107,14 @@ def find_manoeuvres(drive: ConvoyDrive) -> tuple[Manoeuvre, ...]:
         gap, last = drive.gap_m[:, k - 1], _last_moving(drive, k)
         first = 0
         if couples(convoy):
-            done = _first_held(_within(drive, k, gap <= convoy.gap_m + BAND_M), 0, last, convoy.dt)
+            alike = np.abs(drive.speed_difference_mps[:, k - 1]) <= BAND_MPS
+            done = _first_held((gap <= convoy.gap_m + BAND_M) & alike, 0, last, convoy.dt)
             begun = max(int(np.argmax(np.abs(gap - gap[0]) > BAND_M)) - 1, 0)
             found.append(_manoeuvre(drive, "coupling", k, begun, done, last))
             first = done or 0
         if uncouples(drive, k):
-            done = _first_held(_within(drive, k, gap >= convoy.apart_m - BAND_M), first, last, convoy.dt)
+            # Where protection needs more for a while, an open gap goes on to open, and closes again.
+            done = _first_held(gap >= convoy.apart_m - BAND_M, first, last, convoy.dt)
             before = gap[first : 1 + (last if done is None else done)]
             near = np.flatnonzero(before <= before.min() + BAND_M)
             found.append(_manoeuvre(drive, "uncoupling", k, first + int(near[-1]), done, last))
@@ -127,10 +128,6 @@ def _last_moving(drive: ConvoyDrive, k: int) -> int:
         moving = each.time_s[each.speed_mps > 0.0]
         ends_s = min(ends_s, float(moving[-1]) if moving.size else 0.0)
     return max(int(np.searchsorted(drive.time_s, ends_s + 1e-6)) - 1, 0)
-
-
-def _within(drive: ConvoyDrive, k: int, reached: Bool[ndarray, " rows"]) -> Bool[ndarray, " rows"]:
-    return reached & (np.abs(drive.speed_difference_mps[:, k - 1]) <= BAND_MPS)
 
 
 def _first_held(within: Bool[ndarray, " rows"], first: int, last: int, dt: float) -> int | None:
