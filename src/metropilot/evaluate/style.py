@@ -171,10 +171,11 @@ def add_headline(axes: Axes, title: str, below: str) -> None:
         if rows == len(handles) or legend.get_window_extent().width <= LEGEND_SHARE * axes.figure.bbox.width:
             break
     if rows > 1:
-        lower_in = TOP_IN + (rows - 1) * LINE_PT / 72
-        axes.get_gridspec().update(top=1 - lower_in / axes.figure.get_figheight())
-        for panel in axes.figure.axes:
-            panel.set_position(panel.get_subplotspec().get_position(axes.figure))
+        figure: Any = axes.figure
+        grid: Any = axes.get_gridspec()
+        grid.update(top=1 - (TOP_IN + (rows - 1) * LINE_PT / 72) / figure.get_figheight())
+        for panel in figure.axes:
+            panel.set_position(panel.get_subplotspec().get_position(figure))
     above: Any = {"xy": (0, 1), "xycoords": "axes fraction", "textcoords": "offset points"}
     axes.annotate(title, xytext=(0, 22 + LINE_PT * rows), fontsize=11, weight="bold", **above)
     axes.annotate(below, xytext=(0, 8 + LINE_PT * rows), fontsize=8, color=GREY, **above)
