@@ -26,7 +26,14 @@ from metropilot.campaign import (
 )
 from metropilot.campaign.declared import case_request, draw_disturbance, seed_of
 from metropilot.campaign.matrix import Shard, from_text
-from metropilot.campaign.page import median_ranks, share_interval
+from metropilot.campaign.page import (
+    WORST_NUMBERS,
+    WORST_WORDS,
+    Again,
+    median_ranks,
+    share_interval,
+    worst_table,
+)
 from metropilot.campaign.rows import RESULTS, TIMINGS
 from metropilot.campaign.store import CampaignStore
 from metropilot.cli import main
@@ -294,6 +301,14 @@ def test_a_driver_that_breaks_down_is_a_failure_and_no_end(tmp_path, monkeypatch
     assert "ZeroDivisionError: nobody home" in summarise(tmp_path)["worst"][0]["error"]
     write_campaign_page(tmp_path / "board.md", tmp_path, summarise(tmp_path), 1.0, "made")
     assert "`flat_out` on WHY-YZQ AW2, nominal: ZeroDivisionError" in (tmp_path / "board.md").read_text()
+
+
+def test_the_caption_of_a_failed_run_that_can_be_driven_has_dashes():
+    """A run that failed in a batch and is driven again for its picture has no time error and no place."""
+    row = dict.fromkeys([*WORST_WORDS.values(), *WORST_NUMBERS.values(), "origin", "destination", "load"])
+    row |= {"driver": "ppo", "outcome": "failed", "error": "ZeroDivisionError"}
+    table = worst_table([row], [Again("worst/01", "<svg/>")])
+    assert "failed, – s, – m" in table
 
 
 def test_a_time_nobody_can_keep_is_counted_apart(tmp_path):

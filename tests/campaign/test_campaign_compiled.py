@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import pytest
+from tests.sections import fall_of
 
 from metropilot._io import encode_parquet
 from metropilot.campaign import Campaign, DisturbanceCase, compute_shard
@@ -177,3 +178,13 @@ def test_the_optimum_read_between_two_solved_ones_is_the_solved_one(objective):
         assert found.attainable.energy_j == pytest.approx(best.energy_j, rel=1e-3)
         assert found.attainable.bound_j == pytest.approx(best.bound_j, rel=5e-3)
     assert sorted(curve.knots) == [1, 2, 5, 6, 17, 18]
+
+
+def test_the_optimum_between_two_that_need_nothing_is_none():
+    """On a section that falls all the way both energies are zero, and were divided by."""
+    section, trainset = fall_of(600.0), load_trainset("dkz32")
+    curve = EnergyCurve(section, trainset, "wheel", driving_limits(Run(section, trainset, 100.0), section))
+    found = curve.at(1.71 * curve.fastest_s)
+    for each in (found.plan, found.attainable):
+        assert abs(each.energy_j) < 1e3
+        assert each.bound_j <= each.energy_j

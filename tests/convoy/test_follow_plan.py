@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from tests.sections import section_of
 
 from metropilot.convoy import FOLLOWERS, Convoy, ConvoyRequest, Link, convoy_kpis, drive_convoy, string_gains
 from metropilot.convoy.drivers.follow_gap import FollowGap, FollowGapOptions
@@ -27,7 +28,7 @@ from metropilot.evaluate import RunSpec
 from metropilot.physics import vehicle_arrays
 from metropilot.planning import joint_minimum_running_time
 from metropilot.protection import spare_gap
-from metropilot.railway import Line, Station, Steps, load_line, load_trainset
+from metropilot.railway import load_line, load_trainset
 from metropilot.sim import Disturbance, TimetableUpdate
 
 DT = 0.1
@@ -165,15 +166,9 @@ def test_every_trainset_meets_every_requirement(count, factors, link):
 @pytest.mark.parametrize(("follower", "permil"), [("follow_plan", -14.0), ("follow_mpc", -38.0)])
 def test_followers_depart_on_a_fall(follower, permil):
     """They wanted less at first than the fall gives, and asked for the brake, which held them for good."""
-    line = Line(
-        id="fall",
-        name="fall",
-        stations=(Station("A", "Alpha", 0.0), Station("B", "Beta", 400.0)),
-        limit_mps=Steps(np.array([-300.0]), np.array([10.0])),
-        gradient_permil=Steps(np.array([-300.0, 100.0]), np.array([permil, 0.0])),
-    )
+    section = section_of(400.0, {-300.0: 36.0}, {-300.0: permil, 100.0: 0.0})
     asked = request(time_s=70.0, count=2, follower=follower)
-    convoy = replace(asked.convoy(), section=line.section("A", "B"))
+    convoy = replace(asked.convoy(), section=section)
     kpis = convoy_kpis(drive_convoy(convoy, asked.driven_head(convoy), asked.make_follower()), 70.0)
     assert kpis.success, kpis.verdict
 

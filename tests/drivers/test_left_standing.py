@@ -4,11 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from tests.sections import fall_of
 
 from metropilot.drivers import DRIVERS
 from metropilot.evaluate import kpi_rows, kpis_of, optimum_of
 from metropilot.planning import minimum_running_time
-from metropilot.railway import Line, Station, Steps, load_line, load_trainset
+from metropilot.railway import load_line, load_trainset
 from metropilot.sim import Outcome, Rollout, Run, drive
 
 DKZ32 = load_trainset("dkz32")
@@ -19,18 +20,6 @@ ANYWHERE = (
     *("pid", "ddpg_pid", "fuzzy_pid", "neural_pid", "ppo_scaled"),
 )
 """Drivers that are offered for any line."""
-
-
-def on_a_fall(length_m):
-    """A section that falls by 38 permil all the way."""
-    line = Line(
-        id="fall",
-        name="fall",
-        stations=(Station("A", "Alpha", 0.0), Station("B", "Beta", length_m)),
-        limit_mps=Steps(np.array([-300.0]), np.array([15.0])),
-        gradient_permil=Steps(np.array([-300.0]), np.array([-38.0])),
-    )
-    return line.section("A", "B")
 
 
 def brake_once(run, driver, left_m):
@@ -63,8 +52,8 @@ def test_nobody_is_left_standing_short_of_the_stop(driver, trainset, left_m):
 
 @pytest.mark.parametrize("driver", ANYWHERE)
 def test_nobody_is_left_standing_on_a_fall(driver):
-    """The experts and `manual` asked for the brake that would be right in motion, which held the trainset."""
-    section = on_a_fall(400.0)
+    """All but `ppo_scaled` asked for the brake that would be right in motion, which held the trainset."""
+    section = fall_of(400.0)
     time_s = 1.4 * minimum_running_time(section, LATE)
     outcome, ended_s = brake_once(Run(section, LATE, time_s), driver, 25.0)
     assert outcome is Outcome.ARRIVED
@@ -75,7 +64,7 @@ def test_nobody_is_left_standing_on_a_fall(driver):
 @pytest.mark.parametrize("trainset", [DKZ32, load_trainset("cheng2023@0.5,0.3")], ids=["dkz32", "late"])
 def test_a_drive_that_a_fall_does_alone_begins(driver, trainset):
     """They braked from the first moment, and never left. A drive that needs nothing has no excess over it."""
-    section = on_a_fall(600.0)
+    section = fall_of(600.0)
     run = Run(section, trainset, 1.7 * minimum_running_time(section, trainset))
     driven = drive(run, DRIVERS.make(driver))
     assert driven.outcome is Outcome.ARRIVED

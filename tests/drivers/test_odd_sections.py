@@ -4,26 +4,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from tests.sections import section_of
 
 from metropilot.control import STOP_OPTIONS, build_up, curve_for, lasting_deceleration, reachable_deceleration
 from metropilot.drivers import optimal
 from metropilot.evaluate import make_driver
 from metropilot.physics import track_arrays, vehicle_arrays
 from metropilot.planning import minimum_running_time
-from metropilot.railway import Actuation, Line, Station, Steps, load_trainset
+from metropilot.railway import Actuation, load_trainset
 from metropilot.sim import Outcome, Run, drive
-
-
-def section_of(length_m, limits_kmh, permil):
-    """A section from limits and gradients by position."""
-    line = Line(
-        id="odd",
-        name="odd",
-        stations=(Station("A", "Alpha", 0.0), Station("B", "Beta", length_m)),
-        limit_mps=Steps(np.array([*limits_kmh], float), np.array([*limits_kmh.values()]) / 3.6),
-        gradient_permil=Steps(np.array([*permil], float), np.array([*permil.values()], float)),
-    )
-    return line.section("A", "B")
 
 
 def slow(jerk_mps3=0.43, **late):

@@ -4,10 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from tests.sections import section_of
 
 from metropilot.evaluate import make_driver
 from metropilot.planning import minimum_running_time
-from metropilot.railway import Line, Station, Steps, load_line, load_trainset
+from metropilot.railway import load_line, load_trainset
 from metropilot.sim import Outcome, Run, drive
 
 LIMITS_KMH = (80.0, 45.0, 65.0, 30.0, 70.0, 80.0, 45.0, 65.0, 30.0, 70.0, 80.0, 45.0, 65.0, 30.0, 70.0)
@@ -17,14 +18,8 @@ PERMIL = (0.0, 12.0, -9.0, 20.0, -15.0)
 def section():
     """A section of 3 km with a limit every 200 m and a gradient every 150 m, the last a fall."""
     at = np.arange(0.0, 3000.0, 150.0)
-    line = Line(
-        id="rough",
-        name="rough",
-        stations=(Station("A", "Alpha", 0.0), Station("B", "Beta", 3000.0)),
-        limit_mps=Steps(200.0 * np.arange(len(LIMITS_KMH)), np.array(LIMITS_KMH) / 3.6),
-        gradient_permil=Steps(at, np.resize(PERMIL, at.size)),
-    )
-    return line.section("A", "B")
+    limits = dict(zip(200.0 * np.arange(len(LIMITS_KMH)), LIMITS_KMH, strict=True))
+    return section_of(3000.0, limits, dict(zip(at, np.resize(PERMIL, at.size), strict=True)))
 
 
 def slowly(key, jerk_mps3, service_mps2=None):

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from metropilot.drivers import DRIVERS
 from metropilot.evaluate import best, best_of, compare, comparison_json, jobs
 from metropilot.evaluate.comparison import bootstrap
 from metropilot.evaluate.figures import comparison_figure
@@ -66,23 +67,11 @@ def test_whoever_returns_most_is_best_at_the_line_and_an_error_counts_either_way
     assert best_of({"a": -4.0, "b": 0.5, "c": 1.0}, "time_error_s") == "b"
 
 
-def test_the_figure_of_many_drivers_keeps_its_words_apart(entries):
+@pytest.mark.parametrize("count", [5, 11, len(DRIVERS)])
+def test_the_figure_of_many_drivers_keeps_its_words_apart(entries, count):
     """The legend ran out of the figure, the key of the energies over the curves and below the axis."""
     first = entries[1][0]
-    names = [
-        "optimal",
-        "mpc",
-        "generalist",
-        "eitoe",
-        "eitop",
-        "itor",
-        "ston",
-        "stod",
-        "flat_out",
-        "manual",
-        "pid",
-    ]
-    figure = comparison_figure([replace(first, driver=name) for name in names])
+    figure = comparison_figure([replace(first, driver=name) for name in [*DRIVERS][:count]])
     figure.canvas.draw()
     whole, (speed, _, energy) = figure.bbox, figure.axes
     legend, key = (axes.get_legend().get_window_extent() for axes in (speed, energy))

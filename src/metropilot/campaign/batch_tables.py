@@ -22,7 +22,14 @@ from metropilot.evaluate import (
     attainable_of,
 )
 from metropilot.physics import Track, delay_steps, padded_size, stack, track_arrays, vehicle_arrays
-from metropilot.planning import Objective, Plan, PlanOptions, minimum_running_time, optimal_plan
+from metropilot.planning import (
+    Attainable,
+    Objective,
+    Plan,
+    PlanOptions,
+    minimum_running_time,
+    optimal_plan,
+)
 from metropilot.protection import Bounds, protect
 from metropilot.railway import Restriction, Section, Trainset, load_trainset
 from metropilot.sim import Run, declared_bounds
@@ -208,9 +215,7 @@ class EnergyCurve:
             return self._solve(time_s)
         step_s = self.fastest_s * STEP
         attainable = _between(share - k, step_s, low.attainable.plan, high.attainable.plan)
-        bound = attainable.energy_j * min(
-            each.bound_j / each.energy_j for each in (low.attainable, high.attainable)
-        )
+        bound = _bound_between(attainable.energy_j, low.attainable, high.attainable)
         return Optimum(
             plan=replace(_between(share - k, step_s, low.plan, high.plan), running_time_s=time_s),
             minimum_time_s=self.fastest_s,
@@ -244,5 +249,9 @@ def _between(share: float, step_s: float, low: Plan, high: Plan) -> Plan:
     t = share
     ends = a * (1.0 + 2.0 * t) * (1.0 - t) ** 2 + b * t * t * (3.0 - 2.0 * t)
     energy = ends + da * t * (1.0 - t) ** 2 - db * t * t * (1.0 - t)
-    bound = energy * min(low.bound_j / low.energy_j, high.bound_j / high.energy_j)
-    return replace(low, energy_j=energy, bound_j=bound)
+    return replace(low, energy_j=energy, bound_j=_bound_between(energy, low, high))
+
+
+def _bound_between(energy_j: float, *ends: Plan | Attainable) -> float:
+    """Bound of an energy between two, as far below it as the farther of theirs; any of them may be zero."""
+    return energy_j - max(each.energy_j - each.bound_j for each in ends)

@@ -357,7 +357,8 @@ def worst_table(worst: Sequence[Mapping[str, Any]], again: Sequence[Again]) -> s
         lines.append("<tr>" + "".join(f"<td class='text'>{cell}</td>" for cell in cells) + "</tr>")
         if found.picture:
             said = f"{place}. {row['driver']}, {row['origin']}–{row['destination']}, {row['load']}, "
-            said += f"{row['disturbance']}: {row['outcome']}, {numbers[0]:+.2f} s, {numbers[1]:+.2f} m"
+            time_s, stop_m = (number(value, 2, "+") for value in numbers[:2])
+            said += f"{row['disturbance']}: {row['outcome']}, {time_s} s, {stop_m} m"
             pictures.append(f"<figure>{found.picture}<figcaption>{escape(said)}</figcaption></figure>")
     said = "<p>Failed, unsafe and late runs first, then by the gap.</p>"
     table = f"<div class='wide'><table><tr>{heads}</tr>{''.join(lines)}</table></div>"

@@ -9,7 +9,6 @@ from .ceiling import ceiling_of as ceiling_of
 from .ceiling import closing_acceleration as closing_acceleration
 from .ceiling import largest_admissible_command as largest_admissible_command
 from .ceiling import model_of as model_of
-from .ceiling import start_on_fall as start_on_fall
 from .ceiling import traction_limit as traction_limit
 from .coasting import COAST_SHARES as COAST_SHARES
 from .coasting import Forecast as Forecast
@@ -72,6 +71,7 @@ from .stopping import required_with_build_up as required_with_build_up
 from .stopping import settle as settle
 from .stopping import stand as stand
 from .stopping import start_command as start_command
+from .stopping import start_on_fall as start_on_fall
 from .stopping import stop_command as stop_command
 from .stopping import stop_deceleration as stop_deceleration
 from .stopping import stop_with_brake as stop_with_brake

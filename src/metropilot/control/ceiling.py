@@ -17,22 +17,8 @@ from numpy import ndarray
 from metropilot._typing import Flag, Float, Scalar
 from metropilot.control.estimator import StateEstimate, look_along
 from metropilot.control.prediction import Model, PredictedState
-from metropilot.control.stopping import (
-    AT_ONCE_MPS3,
-    STOP_OPTIONS,
-    StopCurve,
-    required_with_build_up,
-    start_command,
-)
-from metropilot.physics import (
-    Command,
-    least_between,
-    namespace,
-    repeat,
-    resistance_and_gradient,
-    track_arrays,
-    vehicle_arrays,
-)
+from metropilot.control.stopping import AT_ONCE_MPS3, StopCurve, required_with_build_up, start_on_fall
+from metropilot.physics import Command, least_between, namespace, repeat, track_arrays, vehicle_arrays
 from metropilot.planning import limit_at
 from metropilot.protection import (
     Memory,
@@ -252,25 +238,10 @@ def ask_protection(
         observation: Measurements of this period.
         share: Wanted command in [-1, 1].
     """
-    share = start_on_fall(model, observation, share)
-    look = look_along(model, estimate, periods_in_effect(guard, supervision))
     seen = observation.position_m, observation.speed_mps
+    share = start_on_fall(model, *seen, share)
+    look = look_along(model, estimate, periods_in_effect(guard, supervision))
     return largest_admissible_command(guard, supervision, *seen, share, look)
-
-
-def start_on_fall(model: Model, observation: Observation, share: Scalar) -> Scalar:
-    """Command that lets a trainset leave a stand short of its stop on a fall (:func:`start_command`).
-
-    Args:
-        model: Nominal trainset and section.
-        observation: Measurements of this period.
-        share: Command wanted.
-    """
-    if observation.speed_mps > 0.0:
-        return share
-    drag_n = sum(resistance_and_gradient(model.vehicle, model.track, observation.position_m, 0.0))
-    short = model.track.length_m - observation.position_m > STOP_OPTIONS.inch_m
-    return start_command(share, observation.speed_mps, drag_n / model.vehicle.effective_mass_kg, short)
 
 
 def _largest_between(

@@ -695,6 +695,22 @@ def start_command(share: Scalar, speed_mps: Scalar, drag_mps2: Scalar, goes: Fla
     return xp.where(held & goes, xp.maximum(share, STARTS_SHARE), share)
 
 
+def start_on_fall(model: Model, position_m: float, speed_mps: float, share: Scalar) -> Scalar:
+    """Command that lets a trainset leave a stand short of its stop on a fall (:func:`start_command`).
+
+    Args:
+        model: Nominal trainset and section.
+        position_m: Position.
+        speed_mps: Speed as measured: a prediction takes no account of the holding brake.
+        share: Command wanted.
+    """
+    if speed_mps > 0.0:
+        return share
+    resistance, gradient = resistance_and_gradient(model.vehicle, model.track, position_m, 0.0)
+    short = model.track.length_m - position_m > STOP_OPTIONS.inch_m
+    return start_command(share, speed_mps, (resistance + gradient) / model.vehicle.effective_mass_kg, short)
+
+
 def deceleration_to(model: Model, estimate: StateEstimate, stop: Stop) -> float:
     """Constant deceleration that stops over the same distance as full service braking, m/s^2.
 

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 BAND_M, BAND_MPS = 0.5, 0.2
 """Errors of gap and speed within which trainsets count as coupled; of the gap, as parted."""
 HOLD_S = 3.0
-"""Time for which they must stay within both."""
+"""Time for which they must stay within them."""
 MOVES_MPS = 1.0
 """Least speed at which a planned gap must be closed: coupled on the move."""
 FAR_TIMES = 10.0
@@ -47,9 +47,9 @@ class Manoeuvre:
         kind: ``coupling`` or ``uncoupling``.
         trainset: Number of the follower; 1 is the head.
         begun_s: Time since departure at which the gap begins to change.
-        done_s: Time from which the gap is within ``BAND_M`` of its goal for ``HOLD_S``, or wider once it is
-            open, while both it and the trainset ahead move; None: never. Coupled trainsets also differ by at
-            most ``BAND_MPS`` in speed.
+        done_s: Time from which, for ``HOLD_S`` and while both it and the trainset ahead move, a gap is closed
+            within ``BAND_M`` and the speed difference within ``BAND_MPS``; or is open within ``BAND_M``, and
+            up to the place. None: never.
         begun_m: Position at the beginning.
         done_m: Position when it is done; None: never.
         place_m: Place by which it must be done; None for a coupling, which must be done before the stop.
@@ -113,8 +113,13 @@ def find_manoeuvres(drive: ConvoyDrive) -> tuple[Manoeuvre, ...]:
             found.append(_manoeuvre(drive, "coupling", k, begun, done, last))
             first = done or 0
         if uncouples(drive, k):
-            # Where protection needs more for a while, an open gap goes on to open, and closes again.
-            done = _first_held(gap >= convoy.apart_m - BAND_M, first, last, convoy.dt)
+            # Where protection needs more for a while, an open gap goes on to open, and closes again: the
+            # difference of speeds says nothing. But it is open at the place, and has been since it was done.
+            ahead, is_open = drive.trajectories[k - 1], gap >= convoy.apart_m - BAND_M
+            at_m = np.interp(drive.time_s, ahead.time_s, ahead.position_m)
+            place = int(np.searchsorted(at_m, convoy.uncouple_at_m))
+            opened = first + int(np.flatnonzero(~is_open[first : place + 1]).max(initial=-1)) + 1
+            done = _first_held(is_open, opened, last, convoy.dt)
             before = gap[first : 1 + (last if done is None else done)]
             near = np.flatnonzero(before <= before.min() + BAND_M)
             found.append(_manoeuvre(drive, "uncoupling", k, first + int(near[-1]), done, last))
@@ -253,10 +258,11 @@ def _check_coupling(convoy: Convoy, members: Sequence[Member], head: MotionPlan)
     least_m = max(_least_gaps(convoy, members, head, convoy.first_gap_m))
     if least_m <= convoy.gap_m + BAND_M:
         return
-    closes = lambda gap_m: (  # noqa: E731 - two lines, used once
-        max(_least_gaps(convoy, members, head, gap_m)) <= convoy.gap_m + BAND_M
+    largest_m = _last_that(
+        lambda gap_m: max(_least_gaps(convoy, members, head, gap_m)) <= convoy.gap_m + BAND_M,
+        convoy.gap_m,
+        convoy.first_gap_m,
     )
-    largest_m = _last_that(closes, convoy.gap_m, convoy.first_gap_m)
     place_m = min(convoy.uncouple_at_m, convoy.section.length_m)
     before = "it uncouples" if place_m < convoy.section.length_m else "the stop"
     room_m = place_m * (convoy.first_gap_m - convoy.gap_m) / max(convoy.first_gap_m - least_m, 1.0)
@@ -291,11 +297,11 @@ def _check_uncoupling(convoy: Convoy, members: Sequence[Member], head: MotionPla
         return
     last_m, nearest_m = LAST_SHARE * convoy.section.length_m, convoy.gap_m + BAND_M
     if _opens_by(convoy, members, head, last_m, apart_m):
-        opens = lambda at_m: _opens_by(convoy, members, head, at_m, apart_m)  # noqa: E731 - used once
-        allowed = f"from about {_round_up(_last_that(opens, last_m, place_m))} m on"
+        first_m = _last_that(lambda m: _opens_by(convoy, members, head, m, apart_m), last_m, place_m)
+        allowed = f"from about {_round_up(first_m)} m on"
     else:
-        opens = lambda gap_m: _opens_by(convoy, members, head, place_m, gap_m)  # noqa: E731 - used once
-        largest_m = math.floor(_last_that(opens, nearest_m, apart_m))
+        most_m = _last_that(lambda m: _opens_by(convoy, members, head, place_m, m), nearest_m, apart_m)
+        largest_m = math.floor(most_m)
         allowed = f"up to about {largest_m} m there" if largest_m > nearest_m else "a smaller gap farther on"
     raise Infeasible(
         f"gaps of {apart_m:g} m cannot be open there",

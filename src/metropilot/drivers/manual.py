@@ -147,7 +147,7 @@ class Manual(AbstractDriver):
         )
         intent = _review_timing(memory, estimate, observation)
         wanted, intent = _decide(memory._replace(estimate=estimate, intent=intent))
-        wanted = start_on_fall(memory.model, observation, wanted)
+        wanted = start_on_fall(memory.model, observation.position_m, observation.speed_mps, wanted)
         lever = _move_lever(memory.lever, wanted, observation.time_s, memory.habits, intent)
         memory = memory._replace(estimate=record_command(estimate, lever.share), intent=intent, lever=lever)
         return lever.share, memory

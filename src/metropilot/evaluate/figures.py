@@ -40,8 +40,8 @@ if TYPE_CHECKING:
 
 WIDTH_IN, HEIGHT_IN = 8.4, 7.2
 HEIGHTS = (10.0, 2.2, 2.6, 4.2)
-KEY_ROWS = 4
-"""Drivers in one column of the key of their energies."""
+KEY_ROWS, KEY_COLUMNS, DRIVER_IN = 4, 3, 0.12
+"""Drivers in one column of the key of their energies, columns at most; height of each driver beyond them."""
 
 
 def profile_figure(drive: Drive, kpis: Kpis, optimum: Optimum | None) -> Figure:
@@ -245,7 +245,8 @@ def comparison_figure(entries: Sequence[Entry]) -> Figure:
         entries: At least one; all on the same run.
     """
     with house_style():
-        figure, (speed, gradient, energy) = new_panels(8.4, 6.6, (10.0, 2.2, 5.0))
+        height_in = 6.6 + DRIVER_IN * max(len(entries) - KEY_ROWS, 0)
+        figure, (speed, gradient, energy) = new_panels(8.4, height_in, (10.0, 2.2, 5.0))
         first = entries[0].drives[0]
         draw_limits(speed, first.section, first.trainset)
         if entries[0].optimum is not None:
@@ -265,7 +266,7 @@ def comparison_figure(entries: Sequence[Entry]) -> Figure:
         draw_gradient(gradient, first.section)
         energy.set_ylabel("energy (kWh)")
         label_panel(energy, "traction energy at the wheel")
-        columns = 1 + (len(entries) - 1) // KEY_ROWS
+        columns = min(1 + (len(entries) - 1) // KEY_ROWS, KEY_COLUMNS)
         key = energy.legend(loc="upper left", borderaxespad=0.2, labelspacing=0.3, ncols=columns)
         furthest = max(float(e.drives[0].trajectory.position_m[-1]) for e in entries)
         set_distance(energy, first.section, furthest)

@@ -154,7 +154,7 @@ def label_panel(axes: Axes, text: str) -> None:
 
 
 def add_headline(axes: Axes, title: str, below: str) -> None:
-    """Title, a line below it, and the legend as a third line, all flush with the left edge of the axes."""
+    """Title, a line below it, and the legend in as many lines as it takes, all flush with the left edge."""
     handles, _ = axes.get_legend_handles_labels()
     rows = 0
     while len(handles) > 1:
