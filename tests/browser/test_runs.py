@@ -7,6 +7,7 @@ from playwright.sync_api import expect
 from tests.web.program import Server
 
 PATIENCE_MS = 60_000
+PROJECT = re.compile(r"project=(project-[0-9a-f]{8})")
 
 
 @pytest.fixture(scope="module")
@@ -180,7 +181,8 @@ def test_a_project_is_filled_exported_and_imported(visit, server, tmp_path, widt
     page.get_by_role("combobox", name="Project", exact=True).click()
     page.get_by_role("option", name=f"Tender {width}").click()
     expect(rows).to_have_count(1)
-    page.wait_for_url(re.compile(r"project=project-[0-9a-f]{8}&find=XC"))
+    page.wait_for_url(re.compile(rf"{PROJECT.pattern}&find=XC"))
+    begun = PROJECT.search(page.url)[1]
     assert page.evaluate("document.documentElement.scrollWidth") <= width
     page.reload()
     expect(page.get_by_label("Notes")).to_have_value("Two lines\nof notes", timeout=PATIENCE_MS)
@@ -194,8 +196,9 @@ def test_a_project_is_filled_exported_and_imported(visit, server, tmp_path, widt
     expect(page.get_by_text("not a readable ZIP archive")).to_be_visible(timeout=PATIENCE_MS)
     page.locator('input[type="file"]').set_input_files(tmp_path / "tender.zip")
     expect(page.get_by_text("Import a project")).to_be_hidden(timeout=PATIENCE_MS)
+    page.wait_for_url(lambda url: PROJECT.search(url)[1] != begun)
     expect(rows).to_have_count(1)
-    imported = re.search(r"project=(project-[0-9a-f]{8})", page.url)[1]
+    imported = PROJECT.search(page.url)[1]
     found = server.get(f"/api/projects/{imported}")
     assert (found["name"], len(found["jobs"])) == (f"Tender {width}", 1)
     assert found["jobs"] != [job]
