@@ -85,6 +85,18 @@ def test_the_disturbances_reach_the_compiled_runs(driven):
     assert slow["speed_noise_mps"] > 0.0
 
 
+def test_a_slow_restriction_told_on_the_way_has_its_time_in_both_engines():
+    told = DisturbanceCase("walking pace", restriction=(0.3, 0.8, 5.0, 0.05))
+    short = {"sections": MATRIX.sections[:1], "trainsets": MATRIX.trainsets[:1], "times": (1.1,)}
+    few = replace(MATRIX, **short, disturbances=(told,))
+    case = few.case(0)
+    host, _ = drive_row(few, case)
+    ((found, _),) = drive_batch(few, [case])
+    assert (found["engine"], host["engine"]) == ("compiled", "host")
+    assert found["running_time_s"] == pytest.approx(host["running_time_s"], abs=1e-3)
+    assert (found["outcome"], host["outcome"]) == ("arrived", "arrived")
+
+
 def test_a_compiled_shard_gives_the_same_bytes_again(driven):
     _, results = driven
     (piece,) = MATRIX.pieces()

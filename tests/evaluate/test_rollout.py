@@ -134,6 +134,17 @@ def test_no_drive_before_the_end(request_rj):
         rollout.drive()
 
 
+def test_a_slow_restriction_told_on_the_way_has_its_time(request_rj):
+    restriction = Restriction(300.0, 900.0, 5.0 / 3.6)
+    news = (TimetableUpdate(10.0, restriction=restriction),)
+    run = replace(request_rj.run(), disturbance=Disturbance(updates=news), dt=0.5)
+    driven = drive(run, request_rj.make_driver())
+    # the limit of time without it is 322 s
+    assert driven.running_time_s > restriction.passing_time_s(driven.trainset.length_m) > 500.0
+    assert driven.outcome is Outcome.ARRIVED
+    assert driven.interventions == 0
+
+
 def test_told_on_the_way_is_as_told_beforehand(request_rj):
     news = TimetableUpdate(30.2, scheduled_time_s=125.0)
     before = replace(request_rj, driver="optimal")

@@ -254,4 +254,6 @@ def _between(share: float, step_s: float, low: Plan, high: Plan) -> Plan:
 
 def _bound_between(energy_j: float, *ends: Plan | Attainable) -> float:
     """Bound of an energy between two, as far below it as the farther of theirs; any of them may be zero."""
+    if min(each.energy_j for each in ends) > 0.0:
+        return energy_j * min(each.bound_j / each.energy_j for each in ends)
     return energy_j - max(each.energy_j - each.bound_j for each in ends)

@@ -84,6 +84,7 @@ class Setting(NamedTuple):
         places: Keys of the tables of the two sections.
         tracks: Tracks of the two sections.
         restricted_at_s: Time at which the restriction is announced (infinite: never).
+        restricted_s: Time that it takes at its speed.
         news: Time at which another running time is announced (infinite: never), and that running time.
         trainset: True plant.
         vehicle: True plant as arrays.
@@ -96,6 +97,7 @@ class Setting(NamedTuple):
     places: tuple[Place, Place]
     tracks: tuple[Track, Track]
     restricted_at_s: float
+    restricted_s: float
     news: tuple[float, float]
     trainset: Trainset
     vehicle: Vehicle
@@ -196,10 +198,12 @@ def _start(
 def _make_setting(campaign: Campaign, case: CampaignCase) -> Setting:
     known: dict[str, Any] = {}
     request, run = prepare_run(campaign, case, known)
-    section, restricted_at, news = run.section, float("inf"), (float("inf"), run.scheduled_time_s)
+    section, restricted_at, restricted_s = run.section, float("inf"), 0.0
+    news = float("inf"), run.scheduled_time_s
     for item in run.disturbance.updates:
         if item.restriction is not None:
             section, restricted_at = section.with_restriction(item.restriction), item.at_s
+            restricted_s = item.restriction.passing_time_s(run.trainset.length_m)
         if item.scheduled_time_s is not None:
             news = item.at_s, item.scheduled_time_s
     trainset, bounds = run.disturbance.true_plant(run.trainset), declared_bounds(run)
@@ -214,6 +218,7 @@ def _make_setting(campaign: Campaign, case: CampaignCase) -> Setting:
         places=(Place((*where, first), what, bounds), Place((*where, restrictions), what, bounds)),
         tracks=(track_arrays(run.section, trainset), track_arrays(section, trainset)),
         restricted_at_s=restricted_at,
+        restricted_s=restricted_s,
         news=news,
         trainset=trainset,
         vehicle=vehicle_arrays(trainset),
@@ -286,6 +291,7 @@ def _episode_params(
         guard=places,
         seen=places,
         restricted_at_s=np.array([setting.restricted_at_s for setting in settings]),
+        restricted_s=np.array([setting.restricted_s for setting in settings]),
         scheduled_s=np.array([setting.run.scheduled_time_s for setting in settings]),
         news_at_s=np.array([setting.news[0] for setting in settings]),
         news_s=np.array([setting.news[1] for setting in settings]),

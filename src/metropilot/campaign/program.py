@@ -49,6 +49,7 @@ class EpisodeParams(NamedTuple):
             Shape (2,).
         seen: Rows of the tables of the policy, likewise. Shape (2,).
         restricted_at_s: Time at which the restriction is announced (infinite: never).
+        restricted_s: Time that it takes at its speed.
         scheduled_s: Scheduled running time.
         news_at_s: Time at which a new running time is announced (infinite: never).
         news_s: New running time.
@@ -61,6 +62,7 @@ class EpisodeParams(NamedTuple):
     guard: Array
     seen: Array
     restricted_at_s: Array
+    restricted_s: Array
     scheduled_s: Array
     news_at_s: Array
     news_s: Array
@@ -198,6 +200,7 @@ def period(
         scheduled_s=jnp.where(now >= given.news_at_s, given.news_s, given.scheduled_s),
         speed_noise_mps=given.speed_noise_mps,
         dt=kind.dt,
+        restricted_s=told * given.restricted_s,
     )
 
     motion = before.motion

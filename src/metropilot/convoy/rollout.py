@@ -177,7 +177,8 @@ class HeadDriver:
     def __init__(self, head: DrivenHead, lead_s: float = 0.0) -> None:
         self.driver, self.traction_share, self.lead_s = head.driver, head.traction_share, lead_s
         run = replace(head.run, scheduled_time_s=head.run.scheduled_time_s - lead_s)
-        self.section, self.scheduled_s = run.section, run.scheduled_time_s
+        self.section, self.scheduled_s, self.restricted_s = run.section, run.scheduled_time_s, 0.0
+        self.length_m = run.trainset.length_m
         self.pending = sorted(head.run.disturbance.updates, key=lambda update: update.at_s)
         self.memory: Any = head.driver.init(run)
         self.stood_since_s, self.outcome = 0.0, RUNNING
@@ -191,6 +192,7 @@ class HeadDriver:
                 self.scheduled_s = update.scheduled_time_s - self.lead_s
             if update.restriction is not None:
                 self.section = self.section.with_restriction(update.restriction)
+                self.restricted_s += update.restriction.passing_time_s(self.length_m)
         return bool(due)
 
     def act(self, memory: Any, state: MemberState, now_s: float, permitted_mps: float) -> tuple[float, Any]:  # noqa: ANN401 (a driver's)
@@ -244,6 +246,7 @@ class HeadDriver:
             stood_since_s=since_s,
             scheduled_s=self.scheduled_s,
             overspeed_mps=0.0,
+            restricted_s=self.restricted_s,
         )
         return int(code)
 
@@ -335,8 +338,11 @@ class ConvoyRollout:
         """Time at which the run is given up."""
         if isinstance(self.head, HeadRun):
             return self.head.commands.size * self.dt + LONGEST_S
-        scheduled = self.head.run.scheduled_time_s if self.driving is None else self.driving.scheduled_s
-        return RULE.late_ratio * scheduled + RULE.late_s + LONGEST_S
+        if self.driving is None:
+            scheduled_s, restricted_s = self.head.run.scheduled_time_s, 0.0
+        else:
+            scheduled_s, restricted_s = self.driving.scheduled_s, self.driving.restricted_s
+        return RULE.late_ratio * scheduled_s + RULE.late_s + restricted_s + LONGEST_S
 
     def send_plan(self, now_s: float) -> None:
         """Send the planned motion of the head on its way along the convoy."""

@@ -112,6 +112,10 @@ class Restriction:
             words, allowed = "a restriction must end after it begins", f"> {self.from_m:g} m"
             raise InputError(words, field="to_m", value=self.to_m, unit="m", allowed=allowed)
 
+    def passing_time_s(self, length_m: float) -> float:
+        """Time that a trainset of this length takes through it at the restricted speed."""
+        return (self.to_m - self.from_m + length_m) / self.limit_mps
+
 
 @dataclass(frozen=True)
 class MovementAuthority:

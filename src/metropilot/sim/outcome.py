@@ -40,7 +40,8 @@ class OutcomeRule:
         tolerance_m: Largest distance from the stop at standstill that counts as arrived, m.
         stalled_s: Standstill elsewhere after which the run is stalled, s.
         give_up_m: Distance beyond the stop at which the run is overshot, moving or not, m.
-        late_ratio: Ratio of the limit ``late_ratio * scheduled + late_s`` on the time since departure.
+        late_ratio: Ratio of the limit ``late_ratio * scheduled + late_s`` on the time since departure; what
+            restrictions announced on the way take is added to it.
         late_s: Constant term of that limit, s.
         overspeed_mps: Excess over the limit that ends the run, m/s; infinite: the run continues.
     """
@@ -67,6 +68,7 @@ def outcome_of(
     stood_since_s: Scalar,
     scheduled_s: Scalar,
     overspeed_mps: Scalar,
+    restricted_s: Scalar = 0.0,
 ) -> Index:
     """Number of the outcome in :data:`CODES`, or :data:`RUNNING`. NumPy and JAX alike, all 0-d.
 
@@ -78,13 +80,15 @@ def outcome_of(
         stood_since_s: Time at which the trainset last came to a standstill, s.
         scheduled_s: Scheduled running time in force, s.
         overspeed_mps: Largest excess over the limit in the last control period, m/s.
+        restricted_s: Time that restrictions announced on the way take at their speed, s.
     """
     xp = namespace(speed_mps, error_m, time_s)
     stands = speed_mps <= 0.0
     near = xp.abs(error_m) <= rule.tolerance_m
     beyond = (error_m > rule.give_up_m) | (stands & (error_m > 0.0))
     # Later lines take precedence: an arrival counts even after the time limit.
-    code = xp.where(time_s > rule.late_ratio * scheduled_s + rule.late_s, _OUT_OF_TIME, RUNNING)
+    latest_s = rule.late_ratio * scheduled_s + rule.late_s + restricted_s
+    code = xp.where(time_s > latest_s, _OUT_OF_TIME, RUNNING)
     code = xp.where(stands & (time_s - stood_since_s > rule.stalled_s), _STALLED, code)
     code = xp.where(overspeed_mps > rule.overspeed_mps, _OVERSPEED, code)
     code = xp.where(beyond, _OVERSHOT, code)

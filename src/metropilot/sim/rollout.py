@@ -272,6 +272,8 @@ class Rollout:
                 self.params = self.params._replace(scheduled_s=update.scheduled_time_s)
             if update.restriction is not None:
                 self.enter(self.section.with_restriction(update.restriction))
+                more_s = update.restriction.passing_time_s(self.trainset.length_m)
+                self.params = self.params._replace(restricted_s=self.params.restricted_s + more_s)
 
     @property
     def protection(self) -> Protection:

@@ -43,6 +43,7 @@ class RunParams(NamedTuple):
         dt: Control period. 0-d, s.
         most_mps2: Total deceleration that the brakes are controlled to, as in convoys; None: they are not.
             0-d, m/s^2.
+        restricted_s: Time that restrictions announced on the way take at their speed. 0-d, s.
     """
 
     vehicle: Vehicle
@@ -53,6 +54,7 @@ class RunParams(NamedTuple):
     speed_noise_mps: Scalar
     dt: Scalar
     most_mps2: Scalar | None = None
+    restricted_s: Scalar = 0.0
 
 
 class RunState(NamedTuple):
@@ -160,6 +162,7 @@ def control_period(
         stood_since_s=since,
         scheduled_s=params.scheduled_s,
         overspeed_mps=overspeed,
+        restricted_s=params.restricted_s,
     )
     outcome = xp.where(state.outcome == RUNNING, outcome, state.outcome)
     measured = measured_speed(after.speed_mps, params.speed_noise_mps, noise)
