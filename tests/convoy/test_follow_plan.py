@@ -28,7 +28,7 @@ from metropilot.evaluate import RunSpec
 from metropilot.physics import vehicle_arrays
 from metropilot.planning import joint_minimum_running_time
 from metropilot.protection import spare_gap
-from metropilot.railway import load_line, load_trainset
+from metropilot.railway import Restriction, load_line, load_trainset
 from metropilot.sim import Disturbance, TimetableUpdate
 
 DT = 0.1
@@ -225,6 +225,20 @@ def test_an_emergency_brake_of_the_head_ends_the_plan():
     assert drive.contacts == 0
     assert all(t.speed_mps[-1] == 0.0 for t in drive.trajectories)
     assert drive.trajectories[1].time_s[-1] < 80.0
+
+
+@pytest.mark.parametrize(("follower", "name"), [("follow_plan", "dkz32"), ("follow_mpc", "dkz32@0.6,0.4")])
+def test_after_an_emergency_brake_on_the_way_all_stop_at_their_marks(follower, name):
+    """The restriction is too near to brake for. Nobody sent a new plan: the last stood 1.3 m beyond."""
+    slow = TimetableUpdate(46.0, restriction=Restriction(500.0, 1280.0, 30.0 / 3.6))
+    asked = request(name, time_s=122.0, count=3, follower=follower)
+    head = replace(asked.head, disturbance=Disturbance(updates=(slow,)), dt_s=0.2)
+    driven = replace(asked, head=head).drive()
+    assert driven.interventions[0] == 1
+    assert driven.contacts == 0
+    lengths_m = np.arange(3) * (load_trainset(name).length_m + 5.92)
+    stops_m = np.array([trajectory.position_m[-1] for trajectory in driven.trajectories])
+    assert stops_m == pytest.approx(driven.convoy.section.length_m - lengths_m, abs=0.05)
 
 
 ON_PLAN = ("follow_plan", "follow_gap", "follow_mpc")

@@ -4,13 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tests.sections import fall_of
+from tests.sections import fall_of, section_of
 
 from metropilot.drivers import DRIVERS
 from metropilot.evaluate import kpi_rows, kpis_of, optimum_of
 from metropilot.planning import minimum_running_time
-from metropilot.railway import load_line, load_trainset
-from metropilot.sim import Outcome, Rollout, Run, drive
+from metropilot.railway import Restriction, load_line, load_trainset
+from metropilot.sim import Disturbance, Outcome, Rollout, Run, TimetableUpdate, drive
 
 DKZ32 = load_trainset("dkz32")
 LATE = replace(DKZ32, actuation=replace(DKZ32.actuation, delay_s=0.8, lag_s=0.4))
@@ -58,6 +58,32 @@ def test_nobody_is_left_standing_on_a_fall(driver):
     outcome, ended_s = brake_once(Run(section, LATE, time_s), driver, 25.0)
     assert outcome is Outcome.ARRIVED
     assert ended_s < time_s + 60.0
+
+
+@pytest.mark.parametrize("driver", ["eitoe", "eitop", "itor", "ston"])
+@pytest.mark.parametrize(
+    ("trainset", "permil", "left_m"),
+    [("nl_intercity_virm6@0.8,0.5", -20.0, 300.0), ("ch_stadler_kiss_sbb", 0.0, 100.0)],
+    ids=["from traction", "from a crawl"],
+)
+def test_an_expert_stops_at_the_mark_after_an_intervention(driver, trainset, permil, left_m):
+    """Traction under a lag took it up to 2.5 m beyond; at 1 cm/s the stop's curve kept it at that."""
+    section, known = section_of(1200.0, {-500.0: 70.0}, {-500.0: permil}), load_trainset(trainset)
+    time_s = 1.2 * minimum_running_time(section, known)
+    outcome, ended_s = brake_once(Run(section, known, time_s, dt=0.2), driver, left_m)
+    assert outcome is Outcome.ARRIVED
+    assert ended_s < time_s + 30.0
+
+
+def test_an_emergency_brake_on_the_way_is_not_counted_on_at_the_stop():
+    """`optimal` took the emergency brake for a service brake of 1.2 of nominal, and stood 0.67 m beyond."""
+    section = section_of(1200.0, {-500.0: 70.0}, {-500.0: 0.0})
+    known = load_trainset("cn_beijing_subway@0.6,0.4")
+    time_s = 1.15 * minimum_running_time(section, known)
+    late = TimetableUpdate(0.5 * time_s, restriction=Restriction(480.0, 1200.0, 40.0 / 3.6))
+    driven = drive(Run(section, known, time_s, Disturbance(updates=(late,)), dt=0.2), DRIVERS.make("optimal"))
+    assert driven.interventions == 1
+    assert abs(driven.trajectory.position_m[-1] - section.length_m) < 0.1
 
 
 @pytest.mark.parametrize("driver", ["optimal", "mpc", "generalist"])

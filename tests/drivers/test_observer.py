@@ -102,6 +102,27 @@ def test_noise_alone_never_contradicts_the_nominal_actuation(noise_mps):
     assert plant.delay_s.value == plant.lag_s.value == 0.0
 
 
+@pytest.mark.parametrize(("intervention", "until_mps"), [(2, 8.0), (3, 0.05)])
+def test_what_protection_brakes_is_not_learned_as_an_answer_to_the_driver(intervention, until_mps):
+    """Under a lag full braking acts on after protection has let go; the driver had asked for traction."""
+    trainset, section = load_trainset("cn_beijing_subway@0.6,0.4"), load_line("yizhuang").section("RC", "RJ")
+    model = Model(vehicle_arrays(trainset), track_arrays(section, trainset), DT)
+    state = at_rest(model.vehicle, delay_steps=delay_steps(0.6, DT))
+    estimate, level, braked, after = initial_estimate(model), 0, False, 0
+    while after < 40:
+        x, v, a = float(state.position_m), float(state.speed_mps), float(state.acceleration_mps2)
+        estimate = record_command(update_estimate(model, estimate, x, v, a, intervention=level), 0.8)
+        braked |= v > 12.0
+        level = intervention if braked and after == 0 and v > until_mps else 0
+        after += int(braked and level == 0)
+        command = Command(np.float64(-1.0 if level else 0.8), np.bool_(level == 3))
+        state = step(model.vehicle, model.track, state, command, DT)
+    assert float(state.speed_mps) > until_mps
+    assert estimate.best == 0
+    assert estimate.brake_gain == pytest.approx(1.0, abs=0.01)
+    assert estimate.traction_gain == pytest.approx(1.0, abs=0.01)
+
+
 def test_speed_is_filtered_tenfold():
     _, rows = driven(Disturbance(speed_noise_mps=0.05), COMMANDS)
     errors = [estimate.speed_mps - float(state.speed_mps) for estimate, state in rows[20:]]

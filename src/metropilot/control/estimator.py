@@ -375,7 +375,7 @@ def update_estimate(
     speed_mps: float,
     acceleration_mps2: float,
     *,
-    overruled: bool = False,
+    intervention: int = 0,
 ) -> StateEstimate:
     """Update the estimate with this period's measurements.
 
@@ -385,7 +385,8 @@ def update_estimate(
         position_m: Measured position.
         speed_mps: Measured speed, noisy.
         acceleration_mps2: Acceleration over the last period.
-        overruled: Protection overruled the last command: its answer says nothing about the plant.
+        intervention: Level at which protection overruled the last command (0: it did not): the answer says
+            nothing about the plant, and protection's command is on its way instead.
     """
     if not estimate.started:
         return estimate._replace(
@@ -395,7 +396,11 @@ def update_estimate(
             started=True,
         )
     bank, best, variance = estimate.bank, estimate.best, estimate.variance
-    if not overruled:
+    if intervention > 0:
+        estimate = estimate._replace(commands=_overrule(estimate.commands, intervention))
+        share, slopes = _next_shares(bank, estimate.commands)
+        bank = bank._replace(share=share, share_slopes=slopes)
+    else:
         bank, best, variance = _learn(model, estimate, float(acceleration_mps2))
     known = MeasuredMotion(estimate.position_m, estimate.speed_mps, *estimate.covariance)
     measured = float(position_m), float(speed_mps), float(acceleration_mps2)
@@ -455,6 +460,28 @@ def fuse_motion(
     return MeasuredMotion(x, namespace(x, v).maximum(v, 0.0), xx, xv, vv)
 
 
+def _overrule(commands: Float[ndarray, " given"], intervention: int) -> Float[ndarray, " given"]:
+    """Commands given with protection's in place of the newest: traction cut, or full braking."""
+    share = min(float(commands[0]), 0.0) if intervention == 1 else -1.0
+    return np.append(share, commands[1:])
+
+
+def _next_shares(
+    bank: HypothesisBank, commands: Float[ndarray, " given"]
+) -> tuple[Float[ndarray, " hypotheses"], Float[ndarray, "2 hypotheses"]]:
+    """Command after dead time and lag in the coming period, and its derivatives by both."""
+    delay, keep = bank.parameters[3:]
+    whole = delay.astype(np.intp)
+    newer = commands.take(whole)
+    slope = commands.take(whole + 1) - newer
+    acting = newer + (delay - whole) * slope
+    behind = bank.share - acting
+    slopes = keep * bank.share_slopes
+    slopes[0] += (1.0 - keep) * slope
+    slopes[1] += behind
+    return acting + keep * behind, slopes
+
+
 def _learn(model: Model, estimate: StateEstimate, answer: float) -> tuple[HypothesisBank, int, float]:
     """Update every hypothesis with the measured acceleration, and select the most likely.
 
@@ -462,16 +489,8 @@ def _learn(model: Model, estimate: StateEstimate, answer: float) -> tuple[Hypoth
     command after dead time and lag has its derivatives by both as further features.
     """
     vehicle, bank, prior, v = model.vehicle, estimate.bank, estimate.prior, estimate.speed_mps
-    traction_gain, brake_gain, _, delay, keep = bank.parameters
-    whole = delay.astype(np.intp)
-    newer = estimate.commands.take(whole)
-    slope = estimate.commands.take(whole + 1) - newer
-    acting = newer + (delay - whole) * slope
-    behind = bank.share - acting
-    share = acting + keep * behind
-    slopes = keep * bank.share_slopes
-    slopes[0] += (1.0 - keep) * slope
-    slopes[1] += behind
+    traction_gain, brake_gain = bank.parameters[:2]
+    share, slopes = _next_shares(bank, estimate.commands)
     limits = effort_limits(vehicle, model.track, estimate.position_m, v)
     traction, brake = float(limits.traction_mps2), float(limits.brake_mps2)
     features = np.empty_like(bank.parameters)

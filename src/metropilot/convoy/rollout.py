@@ -251,6 +251,11 @@ class HeadDriver:
         return int(code)
 
 
+def brakes_fully(state: MemberState) -> bool:
+    """Tell if the emergency brake of a trainset acts."""
+    return state.watched is not None and bool(state.watched.emergency)
+
+
 def _permitted_speed(member: Member, state: MemberState) -> float:
     """Speed that protection permits a trainset."""
     if member.protection is None:
@@ -300,6 +305,8 @@ class ConvoyRollout:
         self.period, self.stood_s, self.over = 0, 0.0, False
         self.plants = [own_plant(m.believed, self.dt) for m in self.members]
         self.planned_gains = [1.0] * len(self.members)
+        # An emergency brake ends the plan of whoever follows: a new one is due when it lets go.
+        self.braked = [False] * len(self.members)
         self.plans: list[list[tuple[float, MotionPlan]]] = [[] for _ in self.members]
         self.known: list[Plans | None] = [None for _ in self.members]
         self.send_plan(0.0)
@@ -351,6 +358,7 @@ class ConvoyRollout:
             plan = self.driving.plan(self.members[0], self.known_vehicle(0), self.states[0], now_s, self.dt)
         if plan is not None:
             self.plans[0].append((now_s, plan))
+            self.braked[0] = False
 
     def arrive_earlier(self) -> None:
         """Let the head arrive earlier where the last of its followers is planned to arrive late."""
@@ -380,6 +388,8 @@ class ConvoyRollout:
         left_m = self.convoy.section.length_m - float(plant.position_m)
         if now_s - sent_s < PATIENCE_S or left_m < LAST_M or now_s >= self.head.emergency_s:
             return False
+        if self.lets_go(0):
+            return True
         planned = plan_at(plan, now_s)
         off_mps = abs(float(plant.speed_mps - planned.speed_mps))
         return off_mps > OFF_MPS or abs(float(plant.position_m - planned.position_m)) > OFF_M
@@ -445,6 +455,7 @@ class ConvoyRollout:
         )
         rear = plan._replace(position_m=plan.position_m - length_m)
         self.plans[k].append((now_s, own))
+        self.braked[k] = False
         self.known[k] = Plans(rear, own, np.float64(len(self.plans[k])), np.float64(heard[-1]))
 
     def motion_of(self, k: int) -> PlannedMotion:
@@ -459,10 +470,14 @@ class ConvoyRollout:
         return learned_vehicle(self.plants[k], self.members[k].believed)
 
     def is_outdated(self, k: int, now_s: float) -> bool:
-        """Tell if the plan of a trainset is of another plant than it has learned since."""
+        """Tell if the plan of a trainset is of another plant than learned since, or an emergency ended it."""
         if now_s - self.plans[k][-1][0] < PATIENCE_S:
             return False
-        return bool(abs(self.plants[k].gains[0] - self.planned_gains[k]) > OUTDATED)
+        return self.lets_go(k) or bool(abs(self.plants[k].gains[0] - self.planned_gains[k]) > OUTDATED)
+
+    def lets_go(self, k: int) -> bool:
+        """Tell if an emergency brake of a trainset has let go since its last plan."""
+        return self.braked[k] and not brakes_fully(self.states[k])
 
     def move(self, now: np.float64, period: int) -> None:
         """Advance all trainsets by one control period."""
@@ -483,6 +498,7 @@ class ConvoyRollout:
             command = Command(self.decide(k, seen), False)
         noise = self.errors[k].standard_normal() if own.speed_noise_mps > 0 else 0.0
         after, record = drive_period(own, state, command, now, np.float64(self.dt), np.float64(noise))
+        self.braked[k] |= brakes_fully(after)
         self.recorders[k].add(own.track, after.plant, record, permitted)
         if k == 0 and self.driving is not None:
             self.driving.note(state, after, float(now) + self.dt)

@@ -82,7 +82,7 @@ class FlatOut(AbstractDriver):
             observation.position_m,
             observation.speed_mps,
             observation.acceleration_mps2,
-            overruled=int(memory.supervision.level) > 0 or observation.intervention > 0,
+            intervention=max(int(memory.supervision.level), observation.intervention),
         )
         share, braking = self._share(memory, estimate)
         guard = memory.ceiling.guard

@@ -143,7 +143,7 @@ class Manual(AbstractDriver):
             observation.position_m,
             observation.speed_mps,
             observation.acceleration_mps2,
-            overruled=observation.intervention > 0,
+            intervention=observation.intervention,
         )
         intent = _review_timing(memory, estimate, observation)
         wanted, intent = _decide(memory._replace(estimate=estimate, intent=intent))

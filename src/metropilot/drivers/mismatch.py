@@ -144,10 +144,9 @@ def update_monitor(monitor: PlantMonitor, run: Run, observation: Observation) ->
     """
     seen = observation.position_m, observation.speed_mps, observation.acceleration_mps2
     protection = monitor.protection
-    overruled = protection is not None and (
-        int(protection.supervision.level) > 0 or observation.intervention > 0
-    )
-    estimate = update_estimate(monitor.model, monitor.estimate, *seen, overruled=overruled)
+    own = 0 if protection is None else int(protection.supervision.level)
+    intervention = max(own, observation.intervention)
+    estimate = update_estimate(monitor.model, monitor.estimate, *seen, intervention=intervention)
     if protection is None and departs(estimate):
         protection = _copy_protection(estimate, run, observation.section)
     return monitor._replace(estimate=estimate, protection=protection)

@@ -133,8 +133,6 @@ class FollowingMemory:
         clock_s: Start of the plan.
         curve: Shape of the stop.
         braking: True on the way to the stop.
-        overruled: True if protection overruled the last command (its answer is then no measurement of the
-            plant).
         adapted: Plant that the plan assumes.
         scheduled_s: The scheduled time the plan was made for.
         section: The section the plan was made for.
@@ -152,7 +150,6 @@ class FollowingMemory:
     clock_s: float
     curve: StopCurve
     braking: bool
-    overruled: bool
     adapted: Adaptation
     scheduled_s: float
     section: Section
@@ -221,7 +218,6 @@ class Optimal(AbstractDriver):
             clock_s=clock_s,
             curve=curve,
             braking=False,
-            overruled=False,
             adapted=Adaptation(),
             scheduled_s=run.scheduled_time_s,
             section=run.section,
@@ -237,7 +233,7 @@ class Optimal(AbstractDriver):
             observation.position_m,
             observation.speed_mps,
             observation.acceleration_mps2,
-            overruled=memory.overruled or observation.intervention > 0,
+            intervention=max(int(memory.supervision.level), observation.intervention),
         )
         memory = replace(memory, estimate=estimate)
         if memory.braking and stands_short(memory):
@@ -259,7 +255,6 @@ class Optimal(AbstractDriver):
             estimate=record_command(estimate, share),
             supervision=supervision,
             braking=braking,
-            overruled=int(supervision.level) > 0,
         )
 
     @staticmethod

@@ -141,7 +141,6 @@ class TrackingMemory(NamedTuple):
         command: The controller's last command.
         stop: Shape of the stop.
         stopping: True once the stop's own law drives.
-        overruled: True if protection would have overruled the last command.
     """
 
     run: Run
@@ -157,7 +156,6 @@ class TrackingMemory(NamedTuple):
     command: float
     stop: StopCurve
     stopping: bool
-    overruled: bool
 
 
 class AbstractTracker(AbstractDriver):
@@ -205,7 +203,6 @@ class AbstractTracker(AbstractDriver):
             command=0.0,
             stop=self._curve(model),
             stopping=False,
-            overruled=False,
         )
 
     def act(self, memory: TrackingMemory, observation: Observation) -> tuple[float, TrackingMemory]:
@@ -216,7 +213,7 @@ class AbstractTracker(AbstractDriver):
             observation.position_m,
             observation.speed_mps,
             observation.acceleration_mps2,
-            overruled=memory.overruled or observation.intervention > 0,
+            intervention=max(int(memory.supervision.level), observation.intervention),
         )
         memory = self._follow_updates(memory._replace(estimate=estimate), observation)
         ahead = look_ahead(memory.model, estimate)
@@ -238,7 +235,6 @@ class AbstractTracker(AbstractDriver):
         return share, memory._replace(
             estimate=record_command(estimate, share),
             supervision=supervision,
-            overruled=int(supervision.level) > 0,
         )
 
     def _share(self, memory: TrackingMemory, ahead: PredictedState) -> float:

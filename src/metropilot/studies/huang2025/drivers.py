@@ -215,15 +215,17 @@ def decide(
             rate_mps2=memory.rate_mps2,
         )
     state = (observation.position_m, observation.speed_mps, observation.acceleration_mps2)
-    overruled = observation.intervention > 0
-    estimate = update_estimate(memory.model, memory.estimate, *state, overruled=overruled)
+    intervention = observation.intervention
+    estimate = update_estimate(memory.model, memory.estimate, *state, intervention=intervention)
     # noise of the measured speed would show in every command
     state = (estimate.position_m, estimate.speed_mps, observation.acceleration_mps2)
     ground, actuation = memory.ground, memory.actuation
     if estimate.best != 0:
         # The answers contradict what is declared, which is the first hypothesis.
         actuation = estimated_actuation(estimate, actuation.dt)
-    hoa = memory.hoa if overruled else update_gain(memory.hoa, ground, actuation, state, memory.before_mps2)
+    hoa = (
+        memory.hoa if intervention else update_gain(memory.hoa, ground, actuation, state, memory.before_mps2)
+    )
     now = ground.now(actuation, state, hoa.gain)
     ahead = ground.ahead(actuation, now)
     downhill = ground.downhill(ahead.position_m)

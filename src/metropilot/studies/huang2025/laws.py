@@ -35,6 +35,7 @@ import numpy as np
 from metropilot._schema import check_fields, declare
 from metropilot._typing import Array, Float, Scalar
 from metropilot.control import (
+    AT_ONCE_MPS3,
     LAG_STOP,
     STOP_OPTIONS,
     Ceiling,
@@ -808,7 +809,9 @@ def stop_share(
         gently = min(ahead.resistance_mps2 - STOP_OPTIONS.drop_share * ground.jerk_mps3 * dt, 0.0)
         return ahead.command_for(holds if stands else max(gently, holds)), True
     near_m = CRAWL_M + LATE_CRAWL_MPS * (actuation.seconds + actuation.lag_s)
-    crawls = (hoa.braking or distance <= near_m) and not (hoa.braking and a < 0.0)
+    # an emergency brake may let go of a trainset that still moves, and the stop's curve would keep it at that
+    slows = a < 0.0 and (v >= STOP_OPTIONS.creep_mps or distance <= CRAWL_M)
+    crawls = not slows if hoa.braking else distance <= near_m
     if crawls and draws_up(v, a, distance, ground.jerk_mps3, actuation.lag_s):
         # After an intervention the trainset stands short of the stop, or it has coasted to a crawl before it:
         # far from it the rules drive on.
@@ -821,14 +824,19 @@ def stop_share(
         return 0.0, False
     if not hoa.braking:
         early_m = v * (0.5 * actuation.lag_s + 0.25 * dt)
-        sooner, _ = required_with_build_up(v, a, distance - early_m, curve)
-        later = required_later(ahead, distance, curve, dt)
+        lasts = ahead
+        if curve.build_jerk_mps3 >= AT_ONCE_MPS3:
+            # no brake takes back what traction adds while the lag lets go of it
+            adds_mps = max(ahead.share, 0.0) * ahead.traction_mps2 * actuation.lag_s
+            lasts = ahead._replace(speed_mps=v + adds_mps)
+        sooner, _ = required_with_build_up(lasts.speed_mps, a, distance - early_m, curve)
+        later = required_later(lasts, distance, curve, dt)
         # a crawling trainset stands before the jerk limit lets it brake as planned
         begins = min(plan, CRAWL_SHARE * strongest(v, curve, dt))
         waits = sooner < begins and later <= begins / USE
         if waits and actuation.lag_s > 0.0:
             # what is planned with has something to spare for the way of the lag, what the brake gives has not
-            last = required_later(ahead, distance - v * actuation.lag_s, curve, dt)
+            last = required_later(lasts, distance - v * actuation.lag_s, curve, dt)
             waits = last <= max(ahead.brake_mps2 + ahead.resistance_mps2, begins / USE)
         if waits:
             return 0.0, False
