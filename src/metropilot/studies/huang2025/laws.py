@@ -810,9 +810,9 @@ def stop_share(
         return ahead.command_for(holds if stands else max(gently, holds)), True
     near_m = CRAWL_M + LATE_CRAWL_MPS * (actuation.seconds + actuation.lag_s)
     # an emergency brake may let go of a trainset that still moves, and the stop's curve would keep it at that
-    slows = a < 0.0 and (v >= STOP_OPTIONS.creep_mps or distance <= CRAWL_M)
-    crawls = not slows if hoa.braking else distance <= near_m
-    if crawls and draws_up(v, a, distance, ground.jerk_mps3, actuation.lag_s):
+    slows = (a < 0.0) & ((v >= STOP_OPTIONS.creep_mps) | (distance <= CRAWL_M))
+    crawls = (slows ^ True) if hoa.braking else distance <= near_m
+    if crawls & draws_up(v, a, distance, ground.jerk_mps3, actuation.lag_s):
         # After an intervention the trainset stands short of the stop, or it has coasted to a crawl before it:
         # far from it the rules drive on.
         if distance > DRAW_UP_M:
@@ -824,18 +824,17 @@ def stop_share(
         return 0.0, False
     if not hoa.braking:
         early_m = v * (0.5 * actuation.lag_s + 0.25 * dt)
-        lasts = ahead
-        if curve.build_jerk_mps3 >= AT_ONCE_MPS3:
-            # no brake takes back what traction adds while the lag lets go of it
-            adds_mps = max(ahead.share, 0.0) * ahead.traction_mps2 * actuation.lag_s
-            lasts = ahead._replace(speed_mps=v + adds_mps)
-        sooner, _ = required_with_build_up(lasts.speed_mps, a, distance - early_m, curve)
-        later = required_later(lasts, distance, curve, dt)
+        sooner, _ = required_with_build_up(v, a, distance - early_m, curve)
+        later = required_later(ahead, distance, curve, dt)
         # a crawling trainset stands before the jerk limit lets it brake as planned
         begins = min(plan, CRAWL_SHARE * strongest(v, curve, dt))
         waits = sooner < begins and later <= begins / USE
         if waits and actuation.lag_s > 0.0:
-            # what is planned with has something to spare for the way of the lag, what the brake gives has not
+            # what is planned with has something to spare for the way of the lag, what the brake gives has not;
+            # and without a jerk limit no brake takes back what traction adds while the lag lets go of it
+            fades = scalars.maximum(ahead.share, 0.0) * ahead.traction_mps2 * actuation.lag_s
+            fades = fades if curve.build_jerk_mps3 >= AT_ONCE_MPS3 else 0.0
+            lasts = ahead._replace(speed_mps=v + fades)
             last = required_later(lasts, distance - v * actuation.lag_s, curve, dt)
             waits = last <= max(ahead.brake_mps2 + ahead.resistance_mps2, begins / USE)
         if waits:
