@@ -830,8 +830,8 @@ def stop_share(
         begins = min(plan, CRAWL_SHARE * strongest(v, curve, dt))
         waits = sooner < begins and later <= begins / USE
         if waits and actuation.lag_s > 0.0:
-            # what is planned with has something to spare for the way of the lag, what the brake gives has not;
-            # and without a jerk limit no brake takes back what traction adds while the lag lets go of it
+            # what is planned with has something to spare for the way of the lag, what the brake gives has
+            # not, nor does it take back what traction adds, without a jerk limit, while the lag lets go of it
             fades = scalars.maximum(ahead.share, 0.0) * ahead.traction_mps2 * actuation.lag_s
             fades = fades if curve.build_jerk_mps3 >= AT_ONCE_MPS3 else 0.0
             lasts = ahead._replace(speed_mps=v + fades)
