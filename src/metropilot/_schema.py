@@ -45,7 +45,8 @@ class Range:
 
     def admit(self, value: int | float) -> bool:
         """Tell if the value lies in the range."""
-        if math.isinf(value):
+        # an integer may be too large for a float
+        if abs(value) == math.inf:
             return self.infinite and value > 0
         return bool((value > self.low if self.above else value >= self.low) and value <= self.high)
 

@@ -51,9 +51,11 @@ def test_a_restriction_makes_late_but_not_impossible(request_rj):
     assert minimum_running_time(run.section, run.trainset) > run.scheduled_time_s
 
 
-def test_bad_seed(request_rj):
-    with pytest.raises(InputError, match="seed"):
-        replace(request_rj, seed=-1)
+@pytest.mark.parametrize("seed", [-1, 10**400])
+def test_bad_seed(request_rj, seed):
+    """Neither is an integer that is too large for a float."""
+    with pytest.raises(InputError, match="seed: out of range"):
+        replace(request_rj, seed=seed)
 
 
 def test_the_nearest_driver_is_named(request_rj):
