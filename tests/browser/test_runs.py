@@ -149,6 +149,7 @@ def test_a_journey_is_opened_again(visit, server):
     expect(page.locator('[data-test="sections"] tbody tr')).to_have_count(7, timeout=PATIENCE_MS)
     expect(page.get_by_label("Whole journey")).to_have_value("1200")
     expect(page.locator('[data-test="summary"]')).to_contain_text("20 min 00 s")
+    assert f"job={job}" in page.url
 
 
 @pytest.mark.parametrize("width", [1440, 390])

@@ -53,7 +53,7 @@ def test_a_restriction_makes_late_but_not_impossible(request_rj):
 
 @pytest.mark.parametrize("seed", [-1, 10**400])
 def test_bad_seed(request_rj, seed):
-    """Neither is an integer that is too large for a float."""
+    """An integer that is too large for a float is refused as any other."""
     with pytest.raises(InputError, match="seed: out of range"):
         replace(request_rj, seed=seed)
 

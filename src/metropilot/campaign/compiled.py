@@ -203,7 +203,7 @@ def _make_setting(campaign: Campaign, case: CampaignCase) -> Setting:
     for item in run.disturbance.updates:
         if item.restriction is not None:
             section, restricted_at = section.with_restriction(item.restriction), item.at_s
-            restricted_s = item.restriction.passing_time_s(run.trainset.length_m)
+            restricted_s += item.restriction.passing_time_s(run.trainset.length_m)
         if item.scheduled_time_s is not None:
             news = item.at_s, item.scheduled_time_s
     trainset, bounds = run.disturbance.true_plant(run.trainset), declared_bounds(run)

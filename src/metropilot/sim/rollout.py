@@ -160,7 +160,7 @@ class Rollout:
         self.levels: list[int] = []
         self.memory = driver.init(run)
         self.by_hand: float | None = None
-        self.permitted_mps = self.permitted()
+        self.permitted_mps = self.find_permitted_speed()
         self.wanted, self.command, self.level = 0.0, 0.0, 0
         self.outcome: Outcome | None = None
 
@@ -193,7 +193,7 @@ class Rollout:
     def advance(self) -> Moment:
         """Simulate one control period, with the timetable updates that are due at its beginning."""
         self.apply_updates()
-        self.permitted_mps = self.permitted()
+        self.permitted_mps = self.find_permitted_speed()
         params = self.params
         self.state, self.memory, record = control_period(
             params, self.state, self.memory, self.decide, rule=RULE, noise=self.noise()
@@ -233,7 +233,7 @@ class Rollout:
             wanted=self.wanted,
             command=self.command,
             level=self.level,
-            permitted_mps=self.permitted(),
+            permitted_mps=self.find_permitted_speed(),
             energy_wheel_j=float(state.traction_j),
             energy_line_j=float(state.line_j),
         )
@@ -250,7 +250,7 @@ class Rollout:
         return Drive(
             run=self.run,
             driver=self.driver.id,
-            trajectory=self.recorder.trajectory(self.params.track, self.permitted()),
+            trajectory=self.recorder.trajectory(self.params.track, self.find_permitted_speed()),
             outcome=final_outcome(int(self.state.outcome), over),
             running_time_s=float(running_time(self.state)),
             scheduled_time_s=self.scheduled_time_s,
@@ -280,7 +280,7 @@ class Rollout:
         """Protection under the restrictions in force; every rollout is supervised."""
         return cast("Protection", self.params.protection)
 
-    def permitted(self) -> float:
+    def find_permitted_speed(self) -> float:
         """Permitted speed at the trainset's position, m/s."""
         return float(permitted_speed(self.protection, float(self.state.plant.position_m)))
 
