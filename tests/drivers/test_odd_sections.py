@@ -157,6 +157,16 @@ def test_a_policy_starts_however_little_it_asks_for(trainset, ratio, permil, way
     assert done.running_time_s - done.scheduled_time_s < 1.5
 
 
+@pytest.mark.parametrize(("limit_kmh", "permil", "ratio"), [(20.0, -15.0, 1.3), (70.0, -25.0, 2.0)])
+def test_a_policy_brakes_where_coasting_down_a_fall_would_be_early(limit_kmh, permil, ratio):
+    """It only ever coasted, up to the limit: 23 and 26 s early."""
+    section = section_of(1200.0, {0.0: limit_kmh}, {0.0: permil})
+    done = driven(section, load_trainset("dkz32"), ratio, "generalist")
+    assert done.outcome is Outcome.ARRIVED
+    assert abs(done.running_time_s - done.scheduled_time_s) < 1.0
+    assert done.trajectory.energy_wheel_j[-1] < 0.1 * 3.6e6
+
+
 @pytest.mark.parametrize("name", ["eitoe", "eitop"])
 def test_a_crawl_to_the_mark_takes_no_turns_of_full_power_and_brake(name):
     """Far too late below 1 m/s, early above it: full power and the brake took turns up to the mark."""

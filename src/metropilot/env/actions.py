@@ -37,7 +37,9 @@ traction is still to come."""
 SOON_SHARE = 1.5
 """Time left over the flat-out time to the stop below which there is little to spare."""
 GAIN_S = 5.0
-"""Time over which a trainset gains the speed that it lacks."""
+"""Time over which a trainset gains the speed that it lacks, or loses what it has too much."""
+AHEAD_S, LEAST_LEFT_S = 2.0, 1.0
+"""Time by which coasting arrives too early, from which on a trainset brakes; least time left that counts."""
 
 
 STANDING_MPS, STARTS_MPS2 = 0.1, 0.3
@@ -182,6 +184,26 @@ def start(context: FeatureContext, command: Scalar) -> Scalar:
     return xp.where(stands, xp.maximum(command, least), command)
 
 
+def most_in_time(context: FeatureContext) -> Scalar:
+    """Largest command of a trainset that would arrive well before its time if it coasted; 1 of any other.
+
+    So it is down a long fall, or after news of a later arrival. It holds the lower of two speeds: the share
+    of the permitted one at which the flat-out way takes the time left, and the one speed that takes it with
+    its braking.
+
+    Args:
+        context: State.
+    """
+    xp = context.xp
+    left_s, brake_mps2 = xp.maximum(context.left_s, LEAST_LEFT_S), context.stop_mps2
+    early_s = left_s - context.braked_coasting_s[0]
+    root_s = xp.sqrt(xp.maximum(left_s * left_s - 2.0 * context.left_m / brake_mps2, 0.0))
+    steady_mps = brake_mps2 * (left_s - root_s)
+    held_mps = xp.minimum(context.to_go_s / left_s * context.permitted_mps, steady_mps)
+    wanted = context.effort_limits.command_for((held_mps - context.speed_mps) / GAIN_S)
+    return xp.where(early_s > AHEAD_S, xp.clip(wanted, -1.0, 1.0), 1.0)
+
+
 @final
 @dataclass(frozen=True)
 class RegimeAction(AbstractAction):
@@ -229,7 +251,8 @@ class RegimeAction(AbstractAction):
         most = needed_traction(context, period_s)
         least = xp.where(urgent > 0.0, xp.minimum(urgent, most), -1.0)
         least = xp.maximum(least, least_in_time(context, most, period_s))
-        return start(context, xp.maximum(xp.where(command > 0.0, xp.minimum(command, most), command), least))
+        command = xp.maximum(xp.where(command > 0.0, xp.minimum(command, most), command), least)
+        return start(context, xp.minimum(command, most_in_time(context)))
 
 
 @final
