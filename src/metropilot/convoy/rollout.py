@@ -328,7 +328,8 @@ class ConvoyRollout:
         self.note(float(now) + self.dt)
         still = all(s.plant.speed_mps <= 0 for s in self.states)
         ended = now >= min(self.ends_s, self.head.emergency_s + self.dt)
-        self.stood_s = self.stood_s + self.dt if still and ended else 0.0
+        stays = still and ended and not self.plans_to_depart(now)
+        self.stood_s = self.stood_s + self.dt if stays else 0.0
         self.period += 1
         self.over = self.stood_s >= STAND_S or self.time_s >= self.longest_s
         return self.rows[-1]
@@ -339,6 +340,13 @@ class ConvoyRollout:
         if isinstance(self.head, HeadRun):
             return self.head.commands.size * self.dt
         return float("inf") if self.driving is None or self.driving.outcome == RUNNING else 0.0
+
+    def plans_to_depart(self, now_s: float) -> bool:
+        """Tell if a trainset that stands is to move on, as after an emergency brake of its own."""
+        if np.isfinite(self.head.emergency_s):
+            return False
+        plans = [known.own for known in self.known if known is not None]
+        return any(np.any(plan.speed_mps[plan_times(plan) > now_s] > STANDING_MPS) for plan in plans)
 
     @property
     def longest_s(self) -> float:
@@ -386,10 +394,12 @@ class ConvoyRollout:
         sent_s, plan = self.plans[0][-1]
         plant = self.states[0].plant
         left_m = self.convoy.section.length_m - float(plant.position_m)
-        if now_s - sent_s < PATIENCE_S or left_m < LAST_M or now_s >= self.head.emergency_s:
+        if now_s >= self.head.emergency_s:
             return False
         if self.lets_go(0):
             return True
+        if now_s - sent_s < PATIENCE_S or left_m < LAST_M:
+            return False
         planned = plan_at(plan, now_s)
         off_mps = abs(float(plant.speed_mps - planned.speed_mps))
         return off_mps > OFF_MPS or abs(float(plant.position_m - planned.position_m)) > OFF_M

@@ -37,7 +37,7 @@ from metropilot.control import (
 )
 from metropilot.convoy.drivers.base import AbstractFollower, Memory, waits
 from metropilot.convoy.own_plant import OwnPlant, learn, look_ahead, own_plant
-from metropilot.convoy.plan import PlannedMotion, plan_at
+from metropilot.convoy.plan import STANDING_MPS, PlannedMotion, plan_at
 from metropilot.convoy.step import (
     HALF,
     FollowerObservation,
@@ -177,11 +177,13 @@ def own_place(
     if observation.plan is None:
         return memory._replace(alone=1.0 + 0.0 * memory.alone), alone
     planned = plan_at(observation.plan, then_s)
-    # The own place moves on without a step when a new plan comes.
+    # The own place moves on without a step when a new plan comes, unless the trainset stands.
     fresh = observation.plan_number != memory.number
-    taken = fresh & (memory.number > 0.0)
-    off_m = xp.where(taken, memory.place_m - planned.position_m, memory.off_m)
-    off_mps = xp.where(taken, memory.place_mps - planned.speed_mps, memory.off_mps)
+    begins = (memory.number <= 0.0) | (observation.speed_mps <= 0.0)
+    step_m = xp.where(begins, 0.0, memory.place_m - planned.position_m)
+    step_mps = xp.where(begins, 0.0, memory.place_mps - planned.speed_mps)
+    off_m = xp.where(fresh, step_m, memory.off_m)
+    off_mps = xp.where(fresh, step_mps, memory.off_mps)
     part = 1.0 - xp.exp(-dt / FILTER_S)
     off_m = off_m + part * (observation.off_m - off_m)
     off_mps = off_mps + part * (observation.off_mps - off_mps)
@@ -249,7 +251,10 @@ def stop(
     # A plan that is held ends at the mark; whoever is behind it comes too fast for its last metres.
     behind = memory.place_m - ahead.position_m > v * dt + BEHIND_M
     near = (left_m < NEAR_M) | (behind & (rate > STOP_SHARE * able))
-    near = near & (memory.alone <= 0.0)
+    # Whoever an emergency brake has left short of its mark may have to wait for the trainset ahead.
+    short_m = own_mark(memory, observation) - memory.place_m
+    paused = (memory.place_mps <= STANDING_MPS) & (short_m > SHIFT_M)
+    near = near & (memory.alone <= 0.0) & ~paused
     return xp.where(near, stopping, wanted_mps2)
 
 
