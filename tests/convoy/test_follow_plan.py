@@ -241,6 +241,12 @@ def test_after_an_emergency_brake_on_the_way_all_stop_at_their_marks(follower, n
     assert stops_m == pytest.approx(driven.convoy.section.length_m - lengths_m, abs=0.05)
 
 
+def brake_fully(rollout, member):
+    """Apply the emergency brake of a trainset."""
+    state = rollout.states[member]
+    rollout.states[member] = state._replace(watched=state.watched._replace(emergency=np.bool_(True)))
+
+
 @pytest.mark.parametrize("member", [0, 1, 2])
 def test_after_an_emergency_brake_just_before_the_stop_all_stop_at_their_marks(member):
     """The head sent no plan so near its stop, 1.9 m beyond; the run of a follower was over, 21 m short."""
@@ -250,13 +256,30 @@ def test_after_an_emergency_brake_just_before_the_stop_all_stop_at_their_marks(m
     rollout = ConvoyRollout(convoy, asked.driven_head(convoy), asked.make_follower(), seed=0)
     while not rollout.over:
         if round(rollout.time_s, 1) == 108.0:
-            state = rollout.states[member]
-            rollout.states[member] = state._replace(watched=state.watched._replace(emergency=np.bool_(True)))
+            brake_fully(rollout, member)
         rollout.advance()
     driven = rollout.result()
     assert driven.interventions == tuple(int(k == member) for k in range(3))
     assert driven.contacts == 0
     lengths_m = np.arange(3) * (load_trainset("dkz32").length_m + 5.92)
+    stops_m = np.array([trajectory.position_m[-1] for trajectory in driven.trajectories])
+    assert stops_m == pytest.approx(convoy.section.length_m - lengths_m, abs=0.05)
+
+
+@pytest.mark.parametrize(("member", "at_s"), [(0, 60.0), (1, 30.0)])
+def test_an_emergency_brake_ends_an_uncoupling(member, at_s):
+    """Plans went on with gaps long left behind: the last trainset stood 0.6 and 7 m beyond its mark."""
+    asked = request(stops=("JG", "YZQ"), time_s=None, count=3, uncouple_at_m=1400.0)
+    asked = replace(asked, head=replace(asked.head, dt_s=0.2))
+    convoy = asked.convoy()
+    rollout = ConvoyRollout(convoy, asked.driven_head(convoy), asked.make_follower(), seed=0)
+    while not rollout.over:
+        if round(rollout.time_s, 1) == at_s:
+            brake_fully(rollout, member)
+        rollout.advance()
+    driven = rollout.result()
+    assert driven.contacts == 0
+    lengths_m = np.arange(3) * (load_trainset("dkz32").length_m + 100.0)
     stops_m = np.array([trajectory.position_m[-1] for trajectory in driven.trajectories])
     assert stops_m == pytest.approx(convoy.section.length_m - lengths_m, abs=0.05)
 

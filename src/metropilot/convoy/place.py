@@ -97,15 +97,18 @@ def place_behind(
     rear = ahead.position_m - length_ahead_m
     first = min(max(round((now_s - times[0]) / dt), 0), times.size - 2)
     before = rear[: first + 1] - planned_gap(times[: first + 1])
+    # An emergency brake ends a manoeuvre: what is left of it is the gap at its end.
+    coordinated = manoeuvres(member) and now is None
     if now is None:
         now = _motion_now(before, dt)
     # A departure from an earlier plan is not carried into the new one.
     before = before + (now.position_m - before[-1])
-    base = ahead._replace(position_m=rear - float(member.gap_m))
+    parts = np.isfinite(member.uncouple_at_m) and not coordinated
+    base = ahead._replace(position_m=rear - float(member.apart_m if parts else member.gap_m))
     need = None
     if member.protection is not None:
         need = NeededGap(member.protection, ahead, member, length_ahead_m, base)
-    if manoeuvres(member):
+    if coordinated:
         apart = base.position_m >= member.uncouple_at_m
         asked = np.where(apart, float(member.apart_m), float(member.gap_m))
         needed = np.zeros(times.size) if need is None else need.along_m()
@@ -114,7 +117,7 @@ def place_behind(
         wanted = base._replace(position_m=rear - gap, speed_mps=np.maximum(ahead.speed_mps - opening, 0.0))
     else:
         wanted = delay_motion(base, needed_delay(member, need, base, first, float(before[-1])))
-    own = make_drivable(member, wanted, first, now)
+    own = make_drivable(member, wanted, first, now, coordinated=coordinated)
     position_m = np.concatenate([before[:-1], own.position_m])
     speed_mps = np.concatenate([np.gradient(position_m[: first + 2], dt)[:first], own.speed_mps])
     own = own._replace(position_m=position_m, speed_mps=speed_mps)
@@ -241,7 +244,9 @@ def smooth_out(values: Float[ndarray, " padded"], half: int) -> Float[ndarray, "
     return values
 
 
-def make_drivable(member: Member, wanted: MotionPlan, first: int, now: PlannedMotion) -> MotionPlan:
+def make_drivable(
+    member: Member, wanted: MotionPlan, first: int, now: PlannedMotion, *, coordinated: bool = False
+) -> MotionPlan:
     """Motion near a wanted one that the trainset can drive: within its rates, efforts and jerk limit (NumPy).
 
     Args:
@@ -249,6 +254,7 @@ def make_drivable(member: Member, wanted: MotionPlan, first: int, now: PlannedMo
         wanted: Wanted motion.
         first: Row at which the motion begins.
         now: Motion there.
+        coordinated: Whether the trainset couples or uncouples: it closes a gap no faster than that does.
     """
     vehicle, dt = member.believed, float(wanted.period_s)
     position_m, speed_mps = wanted.position_m[first:], wanted.speed_mps[first:]
@@ -284,13 +290,13 @@ def make_drivable(member: Member, wanted: MotionPlan, first: int, now: PlannedMo
         position_m, np.maximum(least, -BRAKE_LIMIT * limits.brake_mps2 - limits.drag_mps2)
     )
     builds_s = max(dt, float(vehicle.lag_s) - 0.5 * min(least) * dt / jerk)
-    stands, closes = np.flatnonzero(speed_mps > CREEP_MPS).max(initial=0), manoeuvres(member)
+    stands = np.flatnonzero(speed_mps > CREEP_MPS).max(initial=0)
     x, v, a = now
     positions, speeds = [x], [v]
     for k in range(len(wanted_m) - 1):
         rise = (wanted_mps[k + 1] - wanted_mps[k]) / dt
         behind = wanted_m[k] - x
-        most_faster = SLOPE_MPS if closes else BRAKING_USE * max(behind, 0.0) / takes[k]
+        most_faster = SLOPE_MPS if coordinated else BRAKING_USE * max(behind, 0.0) / takes[k]
         faster = min(max(0.5 * w * behind, -SLOPE_MPS), most_faster)
         most_up = CATCH_UP_MPS2 + CATCH_UP_PER_S2 * max(wanted_m[k] - x, 0.0)
         catching_up = max(min(2.0 * w * (wanted_mps[k] + faster - v), most_up), -most_down)

@@ -57,6 +57,8 @@ LOOK_S = 1.0
 """Time ahead, beside what is late, in which traction respects a lower permitted speed, as of one alone."""
 PATIENCE_S = 2.0
 """Least time between two plans that a departure calls for."""
+LEFT_MPS, LEFT_M = 1.0, 5.0
+"""Departure of a follower from its plan that ends a manoeuvre, as an emergency brake does."""
 OUTDATED = 0.03
 """Change of the learned gain of the traction that calls for a new plan of a follower."""
 LATE_S, LEAD_S = 0.5, 2.7
@@ -459,7 +461,8 @@ class ConvoyRollout:
         if known is not None:
             plan = splice(known.ahead, plan)
         # Who couples or uncouples on the move plans its gap on from what it was planned to be.
-        now = None if known is None or manoeuvres(member) else self.motion_of(k)
+        goes_on = known is None or (manoeuvres(member) and not self.has_left_plan(k, now_s))
+        now = None if goes_on else self.motion_of(k)
         own = place_behind(
             plan, member._replace(believed=self.known_vehicle(k)), length_m, now_s, planned_gap, now
         )
@@ -484,6 +487,12 @@ class ConvoyRollout:
         if now_s - self.plans[k][-1][0] < PATIENCE_S:
             return False
         return self.lets_go(k) or bool(abs(self.plants[k].gains[0] - self.planned_gains[k]) > OUTDATED)
+
+    def has_left_plan(self, k: int, now_s: float) -> bool:
+        """Tell if a follower is not where, or not as fast as, its plan has it now."""
+        plant, planned = self.states[k].plant, plan_at(cast("Plans", self.known[k]).own, now_s)
+        off_mps = abs(float(plant.speed_mps - planned.speed_mps))
+        return off_mps > LEFT_MPS or abs(float(plant.position_m - planned.position_m)) > LEFT_M
 
     def lets_go(self, k: int) -> bool:
         """Tell if an emergency brake of a trainset has let go since its last plan."""
