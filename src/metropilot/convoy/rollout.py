@@ -63,6 +63,8 @@ OUTDATED = 0.03
 """Change of the learned gain of the traction that calls for a new plan of a follower."""
 LATE_S, LEAD_S = 0.5, 2.7
 """Planned lateness of the last trainset from which on the head arrives earlier, and by how much at most."""
+SHORT_M = 0.5
+"""Distance from the end of its plan from which on a trainset that stands is to go on."""
 LAST_M = 30.0
 """No new plan this close to the stop."""
 
@@ -347,8 +349,12 @@ class ConvoyRollout:
         """Tell if a trainset that stands is to move on, as after an emergency brake of its own."""
         if np.isfinite(self.head.emergency_s):
             return False
-        plans = [known.own for known in self.known if known is not None]
-        return any(np.any(plan.speed_mps[plan_times(plan) > now_s] > STANDING_MPS) for plan in plans)
+        planned = [(state, known.own) for state, known in zip(self.states, self.known, strict=True) if known]
+        return any(
+            plan.position_m[-1] - state.plant.position_m > SHORT_M
+            and np.any(plan.speed_mps[plan_times(plan) > now_s] > STANDING_MPS)
+            for state, plan in planned
+        )
 
     @property
     def longest_s(self) -> float:
