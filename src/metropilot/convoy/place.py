@@ -91,9 +91,12 @@ def place_behind(
         planned_gap: Gap planned so far.
         now: Motion at that time; None: at the gap planned so far.
     """
-    rows = ahead.position_m.size
-    ahead = stand_on(ahead, round(_closing_s(member) / float(ahead.period_s)))
-    times, dt = plan_times(ahead), float(ahead.period_s)
+    rows, dt, longer_s = ahead.position_m.size, float(ahead.period_s), _closing_s(member)
+    if now is not None:
+        passed_s = np.interp(now.position_m, ahead.position_m - length_ahead_m, plan_times(ahead))
+        longer_s += max(now_s - float(passed_s), 0.0)
+    ahead = stand_on(ahead, round(longer_s / dt))
+    times = plan_times(ahead)
     rear = ahead.position_m - length_ahead_m
     first = min(max(round((now_s - times[0]) / dt), 0), times.size - 2)
     before = rear[: first + 1] - planned_gap(times[: first + 1])

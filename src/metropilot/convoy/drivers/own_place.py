@@ -61,6 +61,8 @@ NEAR_ENOUGH_M, CREEP_M = 0.04, 0.05
 """Error at the stop that is not worth a correction in the last period; distance at which creeping ends."""
 PULL_S, BRAKE_S, HARSH_MPS2 = 0.1, 0.5, 1e3
 """Times beyond the lag in which spare gap is used, and a lack of it made up for; no limit of acceleration."""
+BEGINS_MPS = 0.5
+"""Speed up to which a trainset begins a new plan from where it is, as after an emergency brake."""
 GOES_MPS2 = 0.05
 """Acceleration wanted from which on a trainset leaves a stand."""
 SHIFT_M = 0.5
@@ -177,10 +179,12 @@ def own_place(
     if observation.plan is None:
         return memory._replace(alone=1.0 + 0.0 * memory.alone), alone
     planned = plan_at(observation.plan, then_s)
-    # The own place moves on without a step when a new plan comes, unless the trainset stands.
+    # The own place moves on without a step when a new plan comes, unless the trainset (nearly) stands.
     fresh = observation.plan_number != memory.number
-    begins = (memory.number <= 0.0) | (observation.speed_mps <= 0.0)
-    step_m = xp.where(begins, 0.0, memory.place_m - planned.position_m)
+    step_m = memory.place_m - planned.position_m
+    nearly = (observation.speed_mps <= BEGINS_MPS) & (xp.abs(step_m) > SHIFT_M)
+    begins = (memory.number <= 0.0) | nearly
+    step_m = xp.where(begins, 0.0, step_m)
     step_mps = xp.where(begins, 0.0, memory.place_mps - planned.speed_mps)
     off_m = xp.where(fresh, step_m, memory.off_m)
     off_mps = xp.where(fresh, step_mps, memory.off_mps)
