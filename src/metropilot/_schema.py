@@ -50,8 +50,8 @@ class Range:
             return self.infinite and value > 0
         return bool((value > self.low if self.above else value >= self.low) and value <= self.high)
 
-    def words(self, of: Unit | None) -> str:
-        """The range in words, in the unit the file uses."""
+    def describe(self, of: Unit | None) -> str:
+        """Describe the range in words, in the unit the file uses."""
         name = f" {of.name}" if of and of.name not in {"1", "-"} else ""
         low, high = (v if of is None else of.from_si(v) for v in (self.low, self.high))
         if math.isfinite(low) and math.isfinite(high) and not self.above:
@@ -95,12 +95,11 @@ class FieldSpec:
         """Unit of errors and of the console's field; None where the number has none."""
         return self.shown or (Unit(self.unit, "") if self.unit else None)
 
-    @property
-    def allowed(self) -> str:
-        """Allowed values in words."""
+    def describe_allowed(self) -> str:
+        """Describe the allowed values in words."""
         if self.range is None:
             return ", ".join(self.choices)
-        return self.range.words(self.shown_unit)
+        return self.range.describe(self.shown_unit)
 
     def check(self, name: str, value: Any) -> Any:  # noqa: ANN401 (a value passes as it came)
         """The value, where it is allowed.
@@ -115,14 +114,16 @@ class FieldSpec:
         if value is None:
             return value
         if self.choices and value not in self.choices:
-            raise InputError(f"unknown {name}", field=name, value=value, allowed=self.allowed)
+            raise InputError(f"unknown {name}", field=name, value=value, allowed=self.describe_allowed())
         if self.range is not None and not self.range.admit(value):
             unit, shown = (
                 self.shown_unit,
                 value if self.shown is None else round(self.shown.from_si(value), 6),
             )
             unit_name = unit.name if unit else None
-            raise InputError("out of range", field=name, value=shown, unit=unit_name, allowed=self.allowed)
+            raise InputError(
+                "out of range", field=name, value=shown, unit=unit_name, allowed=self.describe_allowed()
+            )
         return value
 
 
@@ -223,5 +224,7 @@ def from_table(kind: type[Made], values: Mapping[str, Any], **more: Any) -> Made
     for name, value in values.items():
         check_name(name, field_specs(kind), "key", field=name)
         if value is not None:
-            given[name] = convert(name, value, field_type(kind, name), field_specs(kind)[name].allowed)
+            given[name] = convert(
+                name, value, field_type(kind, name), field_specs(kind)[name].describe_allowed()
+            )
     return kind(**given, **more)

@@ -384,7 +384,9 @@ def _options(path: Path, given: Mapping[str, Any]) -> tuple[dict[str, Number], .
             check_name(name, OPTIONS, "key", field=field)
             kind, spec = field_type(OperationOptions, name), field_specs(OperationOptions)[name]
             given_values = value if isinstance(value, list) else [value]
-            checked = [spec.check(name, convert(name, one, kind, spec.allowed)) for one in given_values]
+            checked = [
+                spec.check(name, convert(name, one, kind, spec.describe_allowed())) for one in given_values
+            ]
             axes.append([(name, one) for one in keep_once(checked)])
             if not axes[-1]:
                 raise InputError("the list is empty")

@@ -143,7 +143,9 @@ def option_of(name: str, spec: FieldSpec, kind: type, default: Any, panel: str) 
         hint, default = hint | None, None
     option = typer.Option(
         flag,
-        help=f"{spec.help.rstrip('.')}, {spec.allowed}." if spec.range and kind is float else spec.help,
+        help=f"{spec.help.rstrip('.')}, {spec.describe_allowed()}."
+        if spec.range and kind is float
+        else spec.help,
         metavar=spec.form or None,
         rich_help_panel=panel,
         autocompletion=COMPLETIONS.get(name),

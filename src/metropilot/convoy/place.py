@@ -257,7 +257,7 @@ def make_drivable(
         wanted: Wanted motion.
         first: Row at which the motion begins.
         now: Motion there.
-        coordinated: Whether the trainset couples or uncouples: it closes a gap no faster than that does.
+        coordinated: True while the trainset couples or uncouples: it closes a gap no faster than that allows.
     """
     vehicle, dt = member.believed, float(wanted.period_s)
     position_m, speed_mps = wanted.position_m[first:], wanted.speed_mps[first:]

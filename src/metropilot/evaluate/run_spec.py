@@ -112,7 +112,7 @@ class RunSpec:
         for key, value in values.items():
             check_name(key, specs, "key", field=key)
             if value is not None:
-                given[key] = convert(key, value, key_type(key), specs[key].allowed)
+                given[key] = convert(key, value, key_type(key), specs[key].describe_allowed())
         for key in ("line", "origin", "destination"):
             if key not in given:
                 raise InputError("missing", field=key, allowed="text")

@@ -76,7 +76,7 @@ class AbstractConfig(ABC):
                 spec.check(name, item)
         elif spec.range and not (spec.range.admit(value.start) and spec.range.admit(value.end)):
             words = f"schedule out of range, {value.start:g} to {value.end:g}"
-            raise InputError(words, field=name, allowed=spec.allowed)
+            raise InputError(words, field=name, allowed=spec.describe_allowed())
 
 
 @dataclass(frozen=True)

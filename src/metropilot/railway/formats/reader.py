@@ -196,7 +196,7 @@ class Node:
         if value is None and default is not None:
             return default
         of = self.unit(unit_name or key, kind)
-        self.require(key, bounds.words(of))
+        self.require(key, bounds.describe(of))
         return self.number(value, key, of, bounds)
 
     def number(self, value: object, where: str, of: Unit | None, bounds: Range) -> float:
@@ -224,7 +224,7 @@ class Node:
             field=self.at(where),
             value=format_value(value),
             unit=of.name if of else None,
-            allowed=bounds.words(of),
+            allowed=bounds.describe(of),
         )
 
     def quantities(
