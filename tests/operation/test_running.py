@@ -40,8 +40,18 @@ def test_undisturbed_it_is_its_timetable(found):
     told = line.as_dict()
     assert (told["waits"], told["stops"], line.pop_news()) == (0, 0, [])
     assert told["largest_delay_s"] == pytest.approx(0.0, abs=1e-3)
-    assert told["energy_kwh"] == pytest.approx(found.energy_kwh, rel=0.01)
+    assert told["energy_kwh"] == pytest.approx(found.energy_kwh, rel=2e-3)
     assert line.floor_j == pytest.approx(found.floor_kwh * J_PER_KWH)
+
+
+def test_where_all_is_received_energy_is_exactly_that_of_the_timetable():
+    """No second of a trip is left out, and auxiliaries are off in the turn-round alone."""
+    options = OperationOptions(headway_s=180, zones=1)
+    found = operation_energy(LineOperation(short_line(6), TRAINSET, options))
+    line = RunningLine(found)
+    run(line, 360)
+    assert found.energy_kwh == pytest.approx(found.floor_kwh, rel=1e-5), "one zone receives everything"
+    assert line.as_dict()["energy_kwh"] == pytest.approx(2.0 * found.energy_kwh, rel=1e-6)
 
 
 def test_a_train_that_is_held_delays_the_next_ones_and_all_recover(found):

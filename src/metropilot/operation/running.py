@@ -351,16 +351,20 @@ class RunningLine:
 
     def _move(self, train: RunningTrain, until_s: float) -> float:
         """Move a train for a step; return the net energy that it takes."""
-        aboard_j = self.operation.trainset.auxiliary_w * STEP_S
+        own_w = self.operation.trainset.auxiliary_w
+        aboard_j = own_w * STEP_S
         if train.motion is None:
-            at_terminal = train.trip in {0, self.count}
+            rests = self._at_terminal(train)
             self._depart(train, until_s)
-            return 0.0 if at_terminal else aboard_j
+            if train.motion is None:
+                return 0.0 if rests else aboard_j
+            on_way_j = own_w * (until_s - train.set_out_s)
+            return self._net_j(train, train.set_out_s, until_s) + (on_way_j if rests else aboard_j)
         if train.stopped_m is not None:
             self._brake(train)
-            return aboard_j
-        motion = train.motion
-        before_s, after_s = self.time_s - train.set_out_s, until_s - train.set_out_s
+            drives_on = train.stopped_m is None
+            return aboard_j + (self._net_j(train, self.time_s, until_s) if drives_on else 0.0)
+        after_s = until_s - train.set_out_s
         if self._is_stopped(train, after_s):
             train.stopped_m, train.speed_mps = self._state(train, self.time_s)
             self.stops += 1
@@ -368,14 +372,26 @@ class RunningLine:
             self.news.append((self.time_s, f"train {train.number} is stopped before {name}"))
             self._brake(train)
             return aboard_j
-        times = motion.profile.time_s
-        drawn, returned = (
-            float(np.interp(after_s, times, each) - np.interp(before_s, times, each))
-            for each in (motion.drawn_j, motion.returned_j)
-        )
-        if after_s >= motion.profile.running_time_s:
+        net_j = self._net_j(train, self.time_s, until_s)
+        if after_s >= train.motion.profile.running_time_s:
             self._arrive(train)
-        return drawn - (1.0 - self.operation.options.transfer_loss) * returned + aboard_j
+            if self._at_terminal(train):
+                aboard_j = own_w * (train.arrived_s - self.time_s)
+        return net_j + aboard_j
+
+    def _at_terminal(self, train: RunningTrain) -> bool:
+        """Tell whether a train at a platform is at a terminal station: there its auxiliaries are off."""
+        return train.trip in {0, self.count}
+
+    def _net_j(self, train: RunningTrain, from_s: float, to_s: float) -> float:
+        """Energy that a train drives with between two moments, less what is received of it."""
+        assert train.motion is not None
+        times, span_s = train.motion.profile.time_s, (from_s - train.set_out_s, to_s - train.set_out_s)
+        drawn, returned = (
+            float(np.diff(np.interp(span_s, times, each))[0])
+            for each in (train.motion.drawn_j, train.motion.returned_j)
+        )
+        return drawn - (1.0 - self.operation.options.transfer_loss) * returned
 
     def _state(self, train: RunningTrain, time_s: float) -> tuple[float, float]:
         """Place on its trip and speed of a train that drives."""
