@@ -219,6 +219,25 @@ def test_a_train_that_arrives_late_leaves_at_once():
     assert balance.supplied_j + balance.received_j == pytest.approx(balance.drawn_j, rel=1e-9)
 
 
+def test_energy_of_a_last_train_that_arrives_late_is_that_of_the_day():
+    """The minutes go on until it arrives, into another hour than its timetable says."""
+    lasts = operation().count - 1
+    late = [dict(each) for each in profiles()]
+    late[lasts] = {
+        running_s: replace(each, time_s=each.time_s * 1.5) for running_s, each in late[lasts].items()
+    }
+    whole = repeat_timetables([part(0, 500)])
+    ends_s = float(whole.forward.arrival_s[-1, -1])
+    to_hour_s = 2 * HOUR_S - 10.0 - ends_s
+    forward = whole.forward._replace(departure_s=whole.forward.departure_s + to_hour_s)
+    timetable = DayTimetable(forward, Journeys(*(each[:0] for each in whole.backward)))
+    line = LineDay(operation(), timetable, [late])
+    assert line.timetable.span_s[1] == pytest.approx(2 * HOUR_S - 10.0)
+    balance = line.energy()
+    assert line.power().supplied_w.shape[0] == 2 * 60, "minutes of two hours"
+    assert balance.supplied_j + balance.received_j == pytest.approx(balance.drawn_j, rel=1e-9)
+
+
 def test_a_day_is_found_above_its_floor_and_below_plain_driving():
     found = day_energy(operation(), working_day())
     told = found.as_dict()

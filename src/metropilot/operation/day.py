@@ -245,7 +245,7 @@ class LineDay:
 
     def __init__(self, operation: LineOperation, timetable: DayTimetable, plans: Sequence[Profiles]) -> None:
         self.operation, self.plans = operation, plans
-        driven = []
+        driven, ends_s = [], [0.0]
         for way, each in enumerate(timetable):
             lasts_s = np.empty_like(each.departure_s)
             for rows, k, profile in self._groups(each, way):
@@ -254,7 +254,8 @@ class LineDay:
             late = lasts_s > each.running_time_s + 1e-3
             running_s = np.where(late, lasts_s, each.running_time_s)
             driven.append(each._replace(departure_s=_leave_after(each.departure_s, running_s)))
-        self.timetable = DayTimetable(*driven)
+            ends_s += (driven[-1].departure_s[:, -1] + running_s[:, -1]).tolist()
+        self.timetable, self._end_s = DayTimetable(*driven), max(ends_s)
 
     def _groups(self, journeys: Journeys, way: int) -> Iterator[tuple[ndarray, int, PowerProfile]]:
         """Journeys that share the profile of a section: their rows, the section, the profile."""
@@ -270,9 +271,9 @@ class LineDay:
 
     def power(self) -> DayPower:
         """Power of every zone, minute by minute; energies are exact up to rounding."""
-        first_s, last_s = self.timetable.span_s
+        first_s = self.timetable.span_s[0]
         begin_s = HOUR_S * int(first_s // HOUR_S)
-        hours = int(np.ceil((last_s - begin_s) / HOUR_S))
+        hours = int(np.ceil((self._end_s - begin_s) / HOUR_S))
         parts = [self._hour(begin_s + HOUR_S * hour) for hour in range(hours)]
         supplied_w, unused_w = (np.concatenate(each) for each in zip(*parts, strict=True))
         return DayPower(begin_s, supplied_w, unused_w)
