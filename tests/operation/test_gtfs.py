@@ -163,6 +163,11 @@ def replace_row(row, **values):
         ("stop_times", replace_row(0, stop_sequence="one"), "stop_sequence: not a number: 'one'"),
         (
             "stop_times",
+            replace_row(1, stop_sequence="1"),
+            "trip F0001, XC, stop_sequence: used twice: '1'",
+        ),
+        (
+            "stop_times",
             replace_row(0, stop_id="nowhere"),
             "trip F0001, stop_id: stop off the line: 'nowhere'",
         ),

@@ -12,6 +12,7 @@ import zipfile
 import zlib
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
+from operator import attrgetter
 from pathlib import Path
 from typing import NamedTuple
 
@@ -181,7 +182,8 @@ def read_gtfs(path: Path, line: Line, service: str | None = None) -> DayTimetabl
             strange[trip] = row["stop_id"]
             continue
         calls.setdefault(trip, []).append(_call(path, number, row, station))
-    mine = {trip: sorted(each) for trip, each in calls.items() if len(each) > 1}
+    by_number = attrgetter("sequence")
+    mine = {trip: sorted(each, key=by_number) for trip, each in calls.items() if len(each) > 1}
     found = sorted({services[trip] for trip in mine})
     if len(found) > 1:
         raise InputError("several services", file=path, field="service", allowed=", ".join(found))
@@ -212,6 +214,12 @@ def _journey_times(
     path: Path, line: Line, trip: str, calls: list[_Call]
 ) -> tuple[int, tuple[list[int], list[int]]]:
     """Direction, departures and arrivals of a trip that serves all stations."""
+    for before, after in pairwise(calls):
+        if after.sequence == before.sequence:
+            where = f"trip {trip}, {after.station.code}"
+            raise _bad(
+                path, where, "stop_sequence", "used twice", str(after.sequence), "one number for each stop"
+            )
     codes = [each.station.code for each in calls]
     whole = [each.code for each in line.stations]
     if codes not in (whole, whole[::-1]):
