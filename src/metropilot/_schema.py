@@ -210,7 +210,7 @@ def convert(name: str, value: Any, kind: type, range_words: str = "") -> Any:  #
         raise InputError("out of range", field=name, allowed=range_words or None) from None
 
 
-def from_table(kind: type[Made], values: Mapping[str, Any], **more: Any) -> Made:  # noqa: ANN401 (of any type)
+def from_table(kind: type[Made], values: object, **more: Any) -> Made:  # noqa: ANN401 (of any type)
     """Make a dataclass from plain values of its declared fields.
 
     Args:

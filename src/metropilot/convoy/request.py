@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from contextlib import AbstractContextManager
 from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
@@ -87,11 +87,15 @@ class ConvoyRequest(ConvoySettings):
         """
         given = {key: value for key, value in values.items() if value is not None}
         head = head or RunSpec.from_values(given.pop("head", {}))
-        with rename_fields({name: f"link_{name}" for name in field_specs(Link)}):
+        with rename_fields({name: f"link_{name}" for name in field_specs(Link)} | {Link.__name__: "link"}):
             link = from_table(Link, given.pop("link", {}))
-        own = []
-        for k, each in enumerate(given.pop("disturbances", ())):
-            with rename_fields({name: f"disturbances.{k}.{name}" for name in field_specs(Disturbance)}):
+        own, tables = [], given.pop("disturbances", [])
+        if not isinstance(tables, list | tuple):
+            words = "wrong kind of value"
+            raise InputError(words, field="disturbances", value=str(tables), allowed="a list of tables")
+        for k, each in enumerate(tables):
+            names = {name: f"disturbances.{k}.{name}" for name in field_specs(Disturbance)}
+            with rename_fields(names | {Disturbance.__name__: f"disturbances.{k}"}):
                 own.append(from_table(Disturbance, each))
         options = dict(given.pop("options", {}))
         behind = tuple(convert("behind", given.pop("behind", []), list))
@@ -219,13 +223,18 @@ def convoy_from_json(path: Path) -> ConvoyRequest:
 def in_run_json(path: Path, table: Mapping[str, Any] | None = None) -> AbstractContextManager[None]:
     """Let errors about a convoy that was read from a `run.json` name the file and the key in it."""
     table = table or {}
+
+    def keys(kind: type, given: object) -> Iterable[str]:
+        return *field_specs(kind), *(given if isinstance(given, Mapping) else ())
+
     own = {*field_specs(ConvoyRequest), *table} - {"head"}
     names = {key: f"run.head.{key}" for key in (*run_fields(), *table.get("head", ()))}
     names |= {key: f"run.{key}" for key in own}
-    names |= {f"link_{key}": f"run.link.{key}" for key in (*field_specs(Link), *table.get("link", ()))}
-    for k, each in enumerate(table.get("disturbances", ())):
-        keys = (*field_specs(Disturbance), *each)
-        names |= {f"disturbances.{k}.{key}": f"run.disturbances.{k}.{key}" for key in keys}
+    names |= {f"link_{key}": f"run.link.{key}" for key in keys(Link, table.get("link"))}
+    disturbances = table.get("disturbances")
+    for k, each in enumerate(disturbances if isinstance(disturbances, list) else ()):
+        names[f"disturbances.{k}"] = f"run.disturbances.{k}"
+        names |= {f"disturbances.{k}.{key}": f"run.disturbances.{k}.{key}" for key in keys(Disturbance, each)}
     return rename_fields(names | {"set": "run.options"}, path)
 
 
