@@ -7,8 +7,10 @@ gymnasium = pytest.importorskip("gymnasium")
 
 from gymnasium.utils.env_checker import check_env  # noqa: E402
 
-from metropilot.env.adapters import DriveVectorEnv  # noqa: E402
+from metropilot.env import DisturbanceDistribution, DrivingConfig, DrivingTask  # noqa: E402
+from metropilot.env.adapters import DriveEnv, DriveVectorEnv  # noqa: E402
 from metropilot.errors import InputError  # noqa: E402
+from metropilot.railway import load_line, load_trainset  # noqa: E402
 
 PREFIX = "metropilot/"
 
@@ -33,6 +35,22 @@ def test_seed_and_initial_state():
     assert info["time_s"] == 40.0
     with pytest.raises(InputError, match="colour"):
         env.reset(options={"initial_state": {"colour": 1}})
+
+
+def test_a_case_comes_with_its_own_timetable_and_restrictions():
+    scenarios = DisturbanceDistribution(time_ratio=(1.1, 1.2), restriction=1.0)
+    sections = tuple(load_line("yizhuang").section(*ends) for ends in (("RJ", "WYJ"), ("XHM", "JG")))
+    task = DrivingTask(DrivingConfig(sections, (load_trainset("dkz32"),), scenarios=scenarios))
+    env, restrictions = DriveEnv(task), task.rows.count // 2 - 1
+    for seed in range(4):
+        for case in (0, 1):
+            env.reset(seed=seed, options={"initial_state": {"case": case}})
+            start = env._state.start
+            assert int(start.case) == case
+            assert task.times_s[0, case] <= float(start.scheduled_s) <= task.times_s[1, case]
+            assert (int(start.restricted) - 2) // restrictions == case
+    with pytest.raises(InputError, match=r"case: .*0 to 1"):
+        env.reset(options={"initial_state": {"case": 2}})
 
 
 @pytest.mark.parametrize(

@@ -109,11 +109,11 @@ class DrivingTask(AbstractTask):
 
         return int(jax.eval_shape(self.reset, jax.random.key(0))[1].shape[0])
 
-    def draw(self, key: Key) -> StartDistribution:
-        """Draw the parameters of an episode from the task's distribution."""
+    def draw(self, key: Key, case: Index | None = None) -> StartDistribution:
+        """Draw the parameters of an episode from the task's distribution; in a case, if one is given."""
         import jax.numpy as jnp
 
-        start = draw(self.config.scenarios, key, jnp.asarray(self.times_s))
+        start = draw(self.config.scenarios, key, jnp.asarray(self.times_s), case)
         return self._on_the_way(key, start) if self.config.scenarios.on_the_way > 0 else start
 
     def begin(self, start: StartDistribution) -> tuple[DriveState, Float[Array, " features"]]:

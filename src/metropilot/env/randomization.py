@@ -215,7 +215,12 @@ def _within(interval: Interval, shares: Iterator[Scalar]) -> Scalar:
     return low + (high - low) * next(shares) if low < high else np.float32(low)
 
 
-def draw(scenarios: DisturbanceDistribution, key: Key, times_s: Float[Array, "2 cases"]) -> StartDistribution:
+def draw(
+    scenarios: DisturbanceDistribution,
+    key: Key,
+    times_s: Float[Array, "2 cases"],
+    wanted_case: Index | None = None,
+) -> StartDistribution:
     """Draw one episode from standstill (JAX).
 
     All random numbers that the distribution needs are drawn at once, and no others: a learner resets a few of
@@ -225,6 +230,7 @@ def draw(scenarios: DisturbanceDistribution, key: Key, times_s: Float[Array, "2 
         scenarios: The distribution.
         key: Random key.
         times_s: Shortest and longest scheduled time of each case.
+        wanted_case: Case instead of the one drawn.
     """
     import jax
     import jax.numpy as jnp
@@ -242,6 +248,7 @@ def draw(scenarios: DisturbanceDistribution, key: Key, times_s: Float[Array, "2 
     case = jnp.zeros((), jnp.int32)
     if cases > 1:
         case = jnp.minimum((next(shares) * cases).astype(jnp.int32), cases - 1)
+    case = case if wanted_case is None else jnp.asarray(wanted_case, jnp.int32)
     low, high = times_s[0, case], times_s[1, case]
     scheduled = low + (high - low) * next(shares)
     zero = jnp.zeros((), jnp.float32)

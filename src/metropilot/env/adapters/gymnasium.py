@@ -7,6 +7,7 @@ is the task ``drive``. Needs the extra ``rl``.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from functools import cache
 from typing import Any, cast
 
@@ -58,9 +59,16 @@ def action_space(task: DrivingTask) -> spaces.Box | spaces.Discrete:
 
 
 def place_start(
-    task: DrivingTask, start: StartDistribution, options: dict[str, Any] | None
+    task: DrivingTask,
+    draw: Callable[[int | None], StartDistribution],
+    options: dict[str, Any] | None,
 ) -> StartDistribution:
-    """A start with what ``options["initial_state"]`` says of it.
+    """Draw a start, with what ``options["initial_state"]`` says of it.
+
+    Args:
+        task: The task.
+        draw: Draws an episode, in a case if one is given: timetable and restrictions are those of the case.
+        options: Options of a reset.
 
     Raises:
         InputError: An unknown option, or a number that is not finite or out of range.
@@ -72,11 +80,13 @@ def place_start(
     if unknown:
         allowed = "initial_state: " + ", ".join(LIMITS)
         raise InputError("unknown option", field="options", value=", ".join(sorted(unknown)), allowed=allowed)
+    case = given.pop("case", None)
+    if case is not None:
+        case = int(number("case", case, 0.0, task.minimum_s.size - 1.0))
+    start = draw(case)
     for name in (name for name in LIMITS if name in given):
         low, high = LIMITS[name]
-        if name == "case":
-            high = task.rows.count - 1.0
-        elif name == "position_m":
+        if name == "position_m":
             high = float(task.rows.case(start.case).length_m)
         value = number(name, given[name], low, high)
         start = start._replace(**{name: jnp.asarray(value, getattr(start, name).dtype)})
@@ -122,7 +132,8 @@ class DriveEnv(gymnasium.Env[np.ndarray, Any]):
         """A new episode; ``options={"initial_state": {"position_m": 300.0}}`` places it (see ``LIMITS``)."""
         super().reset(seed=seed)
         self._key = jax.random.key(int(self.np_random.integers(2**31)))
-        start = place_start(self.task, self._draw(self._key), options)
+        key = self._key
+        start = place_start(self.task, lambda case: self._draw(key, case), options)
         self._state, observation = self._begin(start)
         return np.asarray(observation), self._info(self._state)
 
