@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 import math
 import os
+import secrets
 import shutil
 import sqlite3
 import tempfile
@@ -42,7 +43,8 @@ def atomic_write(path: Path, write: Callable[[Path], object]) -> None:
     Raises:
         InputError: The file cannot be written.
     """
-    partial = path.with_name(f".{path.name}.partial")
+    # a name of its own: others may write the same file at the same time
+    partial = path.with_name(f".{path.name}.{secrets.token_hex(4)}.partial")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         write(partial)

@@ -3,6 +3,7 @@
 import json
 import sqlite3
 import struct
+from concurrent.futures import ThreadPoolExecutor
 
 import jax
 import numpy as np
@@ -11,6 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from tests.learn.problems import DoubleIntegrator
 
+from metropilot._io import atomic_write
 from metropilot.errors import InputError
 from metropilot.learn import (
     PPOConfig,
@@ -21,6 +23,7 @@ from metropilot.learn import (
     read_history,
     write_history,
 )
+from metropilot.learn.run_store import settle_status
 from metropilot.learn.tensorboard import EventWriter, masked_crc
 from metropilot.policy import Policy, PolicySpec, load_policy, save_policy
 
@@ -221,6 +224,41 @@ def test_a_run_leaves_everything_needed_to_show_resume_and_drive_it(tmp_path):
             record.id,
         )
     assert store.show(record.id).status == "done"
+
+
+def test_a_run_that_ends_while_it_is_looked_at_stays_done(tmp_path):
+    store = RunStore(tmp_path / "runs")
+    running = store.create(CONFIG, "integrator", 4, {})
+    store.update(running, status="done", score=1.5)
+    # read before the process ended, looked at after it
+    found = settle_status(store, running)
+    assert (found.status, found.score) == ("done", 1.5)
+    assert store.show(running.id).status == "done"
+
+
+def test_a_run_is_forgotten_beside_one_that_learns(tmp_path):
+    store = RunStore(tmp_path / "runs")
+    gone, kept = (store.create(CONFIG, "integrator", seed, {}, id=f"run-{seed}") for seed in (1, 2))
+    with sqlite3.connect(tmp_path / "runs" / "index.sqlite") as reader:
+        reader.execute("BEGIN")
+        assert reader.execute("SELECT count(*) FROM runs").fetchone() == (2,)
+        store.forget(gone.id)
+    assert [record.id for record in store.recent()] == [kept.id]
+    assert not store.folder(gone.id).exists()
+
+
+def test_several_may_write_one_file_at_once(tmp_path):
+    """Each writes a file of its own, and one after the other takes the place."""
+    path, texts = tmp_path / "report.md", [f"{k}" * 20_000 for k in range(4)]
+
+    def write(text):
+        for _ in range(20):
+            atomic_write(path, lambda partial: partial.write_text(text))
+
+    with ThreadPoolExecutor(4) as pool:
+        list(pool.map(write, texts))
+    assert path.read_text() in texts
+    assert [each.name for each in tmp_path.iterdir()] == ["report.md"]
 
 
 def test_a_run_goes_on_from_a_checkpoint_with_other_columns(tmp_path):

@@ -11,6 +11,7 @@ from __future__ import annotations
 import json
 import math
 import secrets
+import shutil
 import sqlite3
 import tomllib
 from collections.abc import Iterator, Mapping
@@ -224,6 +225,13 @@ class RunStore:
             words, file=self.root, field="id", value=run_id, allowed=names or "there are no runs yet"
         )
 
+    def forget(self, run_id: str) -> None:
+        """Remove a run: its folder and its row."""
+        shutil.rmtree(self.folder(run_id), ignore_errors=True)
+        if self.indexed:
+            with self._index() as database:
+                database.execute("DELETE FROM runs WHERE id = ?", (run_id,))
+
     def rebuild(self) -> int:
         """Make the index anew from the folders; returns how many runs there are."""
         for name in (INDEX_FILE, f"{INDEX_FILE}-wal", f"{INDEX_FILE}-shm"):
@@ -276,9 +284,12 @@ class RunStore:
 
 def settle_status(store: RunStore, record: RunRecord) -> RunRecord:
     """The record, its status put right if it is running no more."""
-    if record.status != "running" or is_locked(store.folder(record.id)):
+    folder = store.folder(record.id)
+    if record.status != "running" or is_locked(folder):
         return record
-    return store.update(record, status="interrupted")
+    # its process may have ended the run, and let the folder go, since the record was read
+    latest = read_record(folder / RECORD_FILE) or record
+    return store.update(latest, status="interrupted" if latest.status == "running" else latest.status)
 
 
 def record_of(folder: Path) -> RunRecord:

@@ -472,13 +472,11 @@ class Service:
             )
         self.store.forget_job(job)
         self.sessions.pop(job, None)
-        folders = [("jobs", job)] + ([("runs", row.run)] if row.run else [])
-        for kind, name in folders:
-            shutil.rmtree(self.root / kind / name, ignore_errors=True)
+        shutil.rmtree(self.root / "jobs" / job, ignore_errors=True)
         if row.run:
             from metropilot.learn import RunStore
 
-            RunStore(self.root / "runs").rebuild()
+            RunStore(self.root / "runs").forget(row.run)
 
     def submit(
         self, body: DriveIn | CompareIn | OperationIn | CampaignIn | ExportIn | FitIn | LearnIn | StudyIn
