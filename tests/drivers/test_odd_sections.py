@@ -12,7 +12,7 @@ from metropilot.evaluate import make_driver
 from metropilot.physics import track_arrays, vehicle_arrays
 from metropilot.planning import minimum_running_time
 from metropilot.railway import Actuation, load_trainset
-from metropilot.sim import Outcome, Run, drive
+from metropilot.sim import Disturbance, Outcome, Run, drive
 
 
 def slow(jerk_mps3=0.43, **late):
@@ -305,3 +305,16 @@ def test_what_protection_takes_below_the_limits_counts_in_the_time():
     fastest = driven(section, trainset, 1.18, "flat_out", dt=0.5)
     assert done.outcome is Outcome.ARRIVED
     assert done.running_time_s - fastest.running_time_s < 1.0
+
+
+@pytest.mark.parametrize("name", ["eitoe", "eitop"])
+def test_an_expert_stops_a_trainset_heavier_than_told_at_its_mark(name):
+    """It was 8.5 m beyond: the brake is no stronger for the mass, which the traction tells beforehand."""
+    section = section_of(1200.0, {0.0: 60.0}, {0.0: 0.0})
+    trainset = load_trainset("cn_beijing_subway@0.6,0.4")
+    time_s = 1.15 * minimum_running_time(section, trainset)
+    done = drive(Run(section, trainset, time_s, disturbance=Disturbance(mass_factor=1.2)), make_driver(name))
+    assert done.outcome is Outcome.ARRIVED
+    assert done.interventions == 0
+    assert float(done.trajectory.position_m[-1]) - section.length_m == pytest.approx(0.0, abs=0.1)
+    assert done.running_time_s == pytest.approx(time_s, abs=1.0)

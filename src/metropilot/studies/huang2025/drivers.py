@@ -69,6 +69,7 @@ from metropilot.studies.huang2025.laws import (
     build_up_s,
     coasting_time,
     constant_rate_change,
+    expect_mass,
     expert_state,
     expert_track,
     expert_window,
@@ -223,9 +224,12 @@ def decide(
     if estimate.best != 0:
         # The answers contradict what is declared, which is the first hypothesis.
         actuation = estimated_actuation(estimate, actuation.dt)
-    hoa = (
+    known_brake = (
         memory.hoa if intervention else update_gain(memory.hoa, ground, actuation, state, memory.before_mps2)
     )
+    hoa = known_brake
+    if not ground.weighed_brakes:
+        hoa = expect_mass(hoa, estimate.traction_gain, float(estimate.gain_sigmas[0]))
     now = ground.now(actuation, state, hoa.gain)
     ahead = ground.ahead(actuation, now)
     downhill = ground.downhill(ahead.position_m)
@@ -253,7 +257,7 @@ def decide(
         supervision=supervision,
         actuation=memory.actuation.issue(share),
         estimate=record_command(estimate, share),
-        hoa=hoa._replace(braking=braking),
+        hoa=hoa._replace(gain=scalars.where(braking, hoa.gain, known_brake.gain), braking=braking),
         rate_mps2=rate,
         before_mps2=observation.acceleration_mps2,
     )

@@ -53,6 +53,7 @@ from metropilot.control import (
     settle,
     stop_deceleration,
     strongest,
+    weighs_load,
 )
 from metropilot.physics import effort_at, least_between, mean_slopes, scalars
 from metropilot.planning import (
@@ -356,6 +357,7 @@ class ExpertTrack(NamedTuple):
         traction_mps2: Largest traction, by speed.
         brake_mps2: Braking that command -1 asks for, by speed.
         davis: Constant, linear and quadratic resistance.
+        weighed_brakes: The brake gives its deceleration at any load.
         most_mps2: Largest acceleration in service.
         stop_mps2: Largest deceleration that station-stop braking is planned with.
         jerk_mps3: Jerk limit in service.
@@ -368,6 +370,7 @@ class ExpertTrack(NamedTuple):
     traction_mps2: list[float]
     brake_mps2: list[float]
     davis: tuple[float, float, float]
+    weighed_brakes: bool
     most_mps2: float
     stop_mps2: float
     jerk_mps3: float
@@ -513,6 +516,7 @@ def expert_track(model: Model, ceiling: Ceiling, rules: ExpertRules) -> ExpertTr
         traction_mps2=[max(float(e.traction_n), 1.0) / mass for e in effort],
         brake_mps2=brake.tolist(),
         davis=tuple(float(d) / mass for d in vehicle.davis_n),  # pyright: ignore[reportArgumentType]
+        weighed_brakes=weighs_load(vehicle),
         most_mps2=most,
         stop_mps2=min(most, float(vehicle.max_deceleration_mps2)),
         jerk_mps3=float(vehicle.jerk_mps3),
@@ -700,6 +704,10 @@ DRAW_UP_M = 8.0
 """A trainset that stands no farther short of the stop than this is drawn up to it."""
 
 
+HEAVY, HEAVY_SIGMAS = 0.02, 3.0
+"""Loss of traction per mass from which a trainset counts as heavier, at least so many standard deviations."""
+
+
 class Hoa(NamedTuple):
     """Knowledge of the brake, and progress of this stop.
 
@@ -735,6 +743,18 @@ class Hoa(NamedTuple):
     def next_stop(self) -> Hoa:
         """Knowledge carried to the next stop."""
         return Hoa(self.gain, max(self.sigma, SETTLED))
+
+
+def expect_mass(hoa: Hoa, traction_gain: float, sigma: float) -> Hoa:
+    """Knowledge of a brake that does not weigh the load, before it is tried: the traction tells the mass.
+
+    Args:
+        hoa: Knowledge of earlier stops.
+        traction_gain: Traction over the nominal one, per mass.
+        sigma: Its standard deviation.
+    """
+    heavier = (hoa.braking ^ True) & (1.0 - traction_gain >= scalars.maximum(HEAVY, HEAVY_SIGMAS * sigma))
+    return hoa._replace(gain=scalars.where(heavier, scalars.minimum(hoa.gain, traction_gain), hoa.gain))
 
 
 def update_gain(
