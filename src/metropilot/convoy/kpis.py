@@ -363,7 +363,7 @@ def convoy_figure(drive: ConvoyDrive, kpis: ConvoyKpis) -> Figure:
         figure, (speed, gap, apart) = new_panels(WIDTH_IN, HEIGHT_IN, (5.0, 4.0, 3.0))
         for k, t in enumerate(drive.trajectories):
             colour, dashes = (BLACK, "-") if k == 0 else SERIES_STYLES[(k - 1) % len(SERIES_STYLES)]
-            name = f"head ({drive.head})" if k == 0 else f"{k + 1}"
+            name = f"head ({drive.head})" if k == 0 else f"{k + 1} ({drive.convoy.trainsets[k].id})"
             speed.plot(t.time_s, KMH_PER_MPS * t.speed_mps, color=colour, linestyle=dashes, label=name)
             if k:
                 gap.plot(drive.time_s, drive.gap_m[:, k - 1], color=colour, linestyle=dashes)
@@ -371,7 +371,8 @@ def convoy_figure(drive: ConvoyDrive, kpis: ConvoyKpis) -> Figure:
         gap.axhline(drive.convoy.gap_m, color=GREY, linewidth=0.8, zorder=1)
         gap.axhline(0.0, color="#B00020", linewidth=0.8, zorder=1)
         speed.set_ylabel("speed (km/h)")
-        label_panel(gap, f"gap to the trainset ahead (m); grey: wanted {drive.convoy.gap_m:g} m")
+        wanted_m = drive.convoy.gap_m
+        label_panel(gap, f"gap to the trainset ahead (m); grey: wanted {wanted_m:g} m, red: contact")
         label_panel(apart, "speed ahead less own speed (m/s)")
         apart.set_xlabel("time since departure (s)")
         section = drive.convoy.section
