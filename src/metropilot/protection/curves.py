@@ -41,7 +41,7 @@ SERVICE_LATE_MPS2 = 0.1
 _RECENT: deque[tuple[Any, ...]] = deque(maxlen=4)
 """Last requests with their answers: a driver asks for what its host has just asked for."""
 LEAST_HOLD_MPS2 = 0.1
-"""Least deceleration assumed behind the end of the authority, where a gradient may take all of the brake."""
+"""Least deceleration assumed beyond the end of the authority, where a gradient may take all of the brake."""
 MOST_NODES = 130_000
 BEFORE_M = 50.0
 AFTER_M = 500.0
@@ -115,7 +115,7 @@ def _protect(
     permitted = _permitted_curve(field, vehicle, rates, bounds, emergency, pull, ahead)
     service = _service_curve(field, vehicle, _service_brake(trainset), permitted, _over(rates, bounds))
     # Permitted speed and service curve are those of the line: drivers brake to the stop by laws of their own,
-    # with all that the service brake has. Only the emergency brake looks after the end behind the stop.
+    # with all that the service brake has. Only the emergency brake guards the end beyond the stop.
     most = np.where(field.node_m > end.position_m, end.release_mps, np.inf)
     most = np.where(field.node_m > end.last_m, 0.0, most)
     released = field._replace(ceiling_mps=np.minimum(field.ceiling_mps, most[1:]))
@@ -150,7 +150,7 @@ class AuthorityEnd(NamedTuple):
     Attributes:
         position_m: Position of the end; infinite: none.
         release_mps: Highest speed from there on; infinite: the line's.
-        last_m: Node at or behind the position where the emergency brake, applied at the end at the release
+        last_m: Node at or beyond the position where the emergency brake, applied at the end at the release
             speed, has stopped any plant within the bounds; the speed limit is 0 from there on.
     """
 

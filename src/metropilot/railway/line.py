@@ -20,7 +20,7 @@ FARTHEST_M = 200_000.0
 RELEASE_KMH = (3.0, 40.0)
 """Release speeds that a line may have, km/h."""
 MOST_BEHIND_M = 300.0
-"""Largest distance of the end of the movement authority behind a stop, m."""
+"""Largest distance of the end of the movement authority beyond a stop, m."""
 
 
 @dataclass(frozen=True)
@@ -119,15 +119,15 @@ class Restriction:
 
 @dataclass(frozen=True)
 class MovementAuthority:
-    """End of the movement authority behind every stop of a line, and its release speed.
+    """End of the movement authority beyond every stop of a line, and its release speed.
 
     Protection lets a trainset approach the end at up to the release speed, so that a stop at the platform is
-    not disturbed by a braking curve to a point a few metres behind it; whoever passes the end is braked by
-    the emergency brake. The head therefore comes to a stand no further behind the end than that brake needs
+    not disturbed by a braking curve to a point a few metres beyond it; a trainset that passes the end is
+    braked by the emergency brake. The head therefore stops no further beyond the end than that brake needs
     from the release speed.
 
     Attributes:
-        distance_m: Distance of the end behind the stopping point, 0 to 300 m.
+        distance_m: Distance of the end beyond the stopping point, 0 to 300 m.
         release_mps: Release speed, 3 to 40 km/h.
     """
 
@@ -168,7 +168,7 @@ class Section:
         tunnels: Tunnels, local positions.
         planned_time_s: The timetable's running time, where the line knows it.
         restrictions: Temporary speed restrictions in force.
-        authority: End of the movement authority behind the stop; None: the authority does not end.
+        authority: End of the movement authority beyond the stop; None: the authority does not end.
     """
 
     line_id: str
@@ -241,7 +241,7 @@ class Line(CatalogueRecord):
         planned_forward_s: Planned running time of each section, forward order, or empty.
         planned_backward_s: The same for the opposite direction, listed in *forward* section order
             (entry k is the section between stations k and k+1), or empty.
-        authority: End of the movement authority behind every stop.
+        authority: End of the movement authority beyond every stop.
         dwell_s: Planned dwell at each intermediate station, forward order, or empty.
     """
 
