@@ -66,8 +66,8 @@ It learns in two steps: imitation of the optimal plan from {states:,} states on 
 closed-loop driving, in which the gradient of energy and arrival time reaches the policy through the drive.
 It observes distances, limits, gradients, effort and resistance of the trainset, the time left, the time to go
 flat out, at a steady speed and coasting, and the mean speed that the time left requires; nothing identifies a
-place. It gets no more traction than coasting from then on needs to arrive in time, no less than holds its
-speed where coasting would come a little late, and full traction where even flat out is only just in time
+place. Its traction is capped at what coasting then needs to arrive on time, holds speed where coasting would
+be slightly late, and is full where flat out is only just on time
 ([why](decisions/0024-needed-traction.md)). Station-stop braking and the reduction of traction below the
 ceiling are [assists](task.md#assists); protection supervises every run. With a declared dead time it sees
 the state in which its command begins to act. The tables below

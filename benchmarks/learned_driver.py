@@ -67,7 +67,8 @@ Seconds are training time on one core, with evaluations, without compilation;
 
 ## Gap to the optimum, run by run
 
-Per cent, ideal actuation / with the jerk limit; scheduled times from the shortest to {longest:g} s.
+Per cent, ideal actuation / with the jerk limit; scheduled times from the shortest (column 0) to {longest:g} s
+(column 1).
 
 {grid}
 """
