@@ -134,6 +134,13 @@ def test_every_key_figure_is_on_its_page():
     assert {field.name for field in fields(MemberKpis)} <= named
 
 
+def test_every_page_and_decision_is_in_its_index():
+    for folder, pattern in (("docs", "*.md"), ("docs/decisions", "0*.md")):
+        index = (ROOT / folder / "index.md").read_text()
+        pages = {path.name for path in (ROOT / folder).glob(pattern)} - {"index.md"}
+        assert pages <= set(re.findall(r"\]\(([\w-]+\.md)\)", index)), folder
+
+
 def test_every_column_and_file_is_on_the_page_of_formats():
     named = set(re.findall(r"`(\w+)`", (ROOT / "docs/formats.md").read_text()))
     assert set(COLUMNS) <= named
