@@ -157,6 +157,13 @@ def check_fields(values: Any) -> None:  # noqa: ANN401 (any dataclass)
         spec.check(name, getattr(values, name))
 
 
+class Checked:
+    """Base of dataclasses whose only check is that of their fields."""
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+
+
 @cache
 def field_type(kind: type[Any], name: str) -> type:
     """Type of a field's values, without None: that of the words of a ``Literal``."""

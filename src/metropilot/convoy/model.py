@@ -8,7 +8,7 @@ from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 
-from metropilot._schema import FieldSpec, Range, check_fields, declare
+from metropilot._schema import Checked, FieldSpec, Range, check_fields, declare
 from metropilot._typing import Array
 from metropilot.errors import InputError
 from metropilot.physics import Track, Vehicle, effort_at, namespace, track_arrays, vehicle_arrays
@@ -22,7 +22,7 @@ EARLY_S = 1e-4
 
 
 @dataclass(frozen=True)
-class Link:
+class Link(Checked):
     """Quality of the link. Messages are sent once per control period.
 
     Command line and HTTP put ``link`` before the names: the disturbance of a trainset has a delay too.
@@ -65,9 +65,6 @@ class Link:
         infinite=True,
         option="link-silent-from",
     )
-
-    def __post_init__(self) -> None:
-        check_fields(self)
 
     def numbers(self, dtype: type = np.float64) -> LinkQuality:
         """The link as numbers."""

@@ -17,14 +17,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar, final, get_args
 
-from metropilot._schema import check_fields, declare
+from metropilot._schema import Checked, declare
 from metropilot.drivers.optimal import FollowingMemory, Optimal, OptimalOptions
 from metropilot.planning import Objective
 from metropilot.sim import AbstractDriver, Observation, Run
 
 
 @dataclass(frozen=True)
-class MpcOptions:
+class MpcOptions(Checked):
     """Options of ``mpc``: period and objective of the plan.
 
     Attributes:
@@ -41,9 +41,6 @@ class MpcOptions:
     brake_use: float = declare(0.97, low=0.0, high=1.0, above=True)
     reserve_s: float = declare(0.0, unit="s", low=0.0)
     spacing_m: float = declare(12.5, unit="m", low=1.0, high=200.0)
-
-    def __post_init__(self) -> None:
-        check_fields(self)
 
 
 @final

@@ -8,7 +8,7 @@ from typing import ClassVar, get_args
 
 import numpy as np
 
-from metropilot._schema import check_fields, declare
+from metropilot._schema import Checked, declare
 from metropilot.control import (
     LAG_STOP,
     STOP_OPTIONS,
@@ -60,7 +60,7 @@ from metropilot.sim import AbstractDriver, Observation, Run
 
 
 @dataclass(frozen=True)
-class OptimalOptions:
+class OptimalOptions(Checked):
     """Options of ``optimal``: the plan, and how closely it is followed.
 
     Attributes:
@@ -113,9 +113,6 @@ class OptimalOptions:
     spacing_m: float = declare(12.5, unit="m", low=1.0, high=200.0)
     joint: bool = declare(True)
     coupled_use: float = declare(0.97, low=0.0, high=1.0, above=True)
-
-    def __post_init__(self) -> None:
-        check_fields(self)
 
 
 @dataclass(frozen=True)

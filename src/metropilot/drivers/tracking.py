@@ -14,7 +14,7 @@ from copy import copy
 from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple
 
-from metropilot._schema import check_fields, declare
+from metropilot._schema import Checked, declare
 from metropilot._typing import Array
 from metropilot.control import (
     CHENG2023_GAINS,
@@ -84,7 +84,7 @@ class TrackingView(NamedTuple):
 
 
 @dataclass(frozen=True)
-class AbstractTrackingOptions:
+class AbstractTrackingOptions(Checked):
     """Options of a tracking driver: the reference it follows and its assists.
 
     Attributes:
@@ -104,9 +104,6 @@ class AbstractTrackingOptions:
     effort_share: float = declare(0.9, low=0.0, high=1.0, above=True)
     station_stop: bool = declare(True)
     slip_m: float = declare(5.0, unit="m", low=0.0, infinite=True)
-
-    def __post_init__(self) -> None:
-        check_fields(self)
 
 
 @dataclass(frozen=True)

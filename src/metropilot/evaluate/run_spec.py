@@ -12,15 +12,7 @@ from pathlib import Path
 from typing import Any, get_args, get_type_hints
 
 from metropilot._io import read_text
-from metropilot._schema import (
-    FieldSpec,
-    check_fields,
-    check_name,
-    convert,
-    declare,
-    field_specs,
-    field_type,
-)
+from metropilot._schema import Checked, FieldSpec, check_name, convert, declare, field_specs, field_type
 from metropilot.drivers import DRIVERS
 from metropilot.errors import InputError, rename_fields
 from metropilot.planning import Objective
@@ -39,7 +31,7 @@ POLICY = "policy"
 
 
 @dataclass(frozen=True)
-class RunSpec:
+class RunSpec(Checked):
     """All inputs of a run.
 
     Attributes:
@@ -93,9 +85,6 @@ class RunSpec:
         metadata={FieldSpec: replace(field_specs(Run)["dt"], option="dt", label="Control period", step=0.05)},
     )
     seed: int = declare(0, "Seed of everything random.", low=0, high=2**63 - 1, label="Seed", step=1.0)
-
-    def __post_init__(self) -> None:
-        check_fields(self)
 
     @classmethod
     def from_values(cls, values: Mapping[str, Any]) -> RunSpec:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import MISSING, dataclass, replace
 from typing import Any, no_type_check
 
-from metropilot._schema import check_fields, declare
+from metropilot._schema import Checked, declare
 from metropilot._typing import Array, Scalar
 from metropilot.physics import Vehicle, namespace
 from metropilot.railway import Actuation, Davis, EffortCurve, Restriction, Trainset
@@ -92,7 +92,7 @@ NOISE_CUT = 3.0
 
 
 @dataclass(frozen=True)
-class TimetableUpdate:
+class TimetableUpdate(Checked):
     """Change of the arrival time or a temporary speed restriction (TSR) announced during the run.
 
     Attributes:
@@ -113,12 +113,9 @@ class TimetableUpdate:
     )
     restriction: Restriction | None = None
 
-    def __post_init__(self) -> None:
-        check_fields(self)
-
 
 @dataclass(frozen=True)
-class Disturbance:
+class Disturbance(Checked):
     """Difference between a run and the data that driver and planner have.
 
     Each field is declared once, here, with its name, unit, range and help text. Command line, `run.toml`,
@@ -210,9 +207,6 @@ class Disturbance:
         step=0.05,
     )
     updates: tuple[TimetableUpdate, ...] = ()
-
-    def __post_init__(self) -> None:
-        check_fields(self)
 
     def nominal(self, trainset: Trainset) -> Trainset:
         """Nominal trainset: the data that driver and planner use."""

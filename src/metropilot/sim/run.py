@@ -6,7 +6,7 @@ from dataclasses import MISSING, dataclass, field
 from enum import Enum
 from typing import NamedTuple
 
-from metropilot._schema import check_fields, declare
+from metropilot._schema import Checked, declare
 from metropilot.protection import Bounds
 from metropilot.railway import Section, Trainset
 from metropilot.sim.disturbance import Disturbance
@@ -29,7 +29,7 @@ class Outcome(Enum):
 
 
 @dataclass(frozen=True)
-class Run:
+class Run(Checked):
     """One trip from a stop to the next.
 
     Attributes:
@@ -53,9 +53,6 @@ class Run:
     seed: int = 0
     coupled: tuple[tuple[Trainset, float], ...] = ()
     bounds: Bounds | None = None
-
-    def __post_init__(self) -> None:
-        check_fields(self)
 
 
 class Observation(NamedTuple):

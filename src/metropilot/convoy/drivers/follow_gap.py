@@ -7,7 +7,7 @@ from typing import NamedTuple, final, no_type_check
 
 import numpy as np
 
-from metropilot._schema import check_fields, declare
+from metropilot._schema import Checked, declare
 from metropilot._typing import Scalar
 from metropilot.control import PredictedState
 from metropilot.convoy.drivers.base import closing_mps
@@ -22,7 +22,7 @@ FORGET = 0.995
 
 
 @dataclass(frozen=True)
-class FollowGapOptions:
+class FollowGapOptions(Checked):
     """Options of :class:`FollowGap`.
 
     Attributes:
@@ -36,9 +36,6 @@ class FollowGapOptions:
     bandwidth_per_s: float = declare(0.0, low=0.0, high=4.0)
     damping: float = declare(1.0, low=0.3, high=3.0)
     feedforward: float = declare(1.0, low=0.0, high=1.0)
-
-    def __post_init__(self) -> None:
-        check_fields(self)
 
 
 class GapMemory(NamedTuple):

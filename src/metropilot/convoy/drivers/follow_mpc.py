@@ -15,7 +15,7 @@ from typing import Any, NamedTuple, final, no_type_check
 import numpy as np
 from numpy import ndarray
 
-from metropilot._schema import check_fields, declare
+from metropilot._schema import Checked, declare
 from metropilot._typing import Array, Scalar
 from metropilot.control import PredictedState
 from metropilot.convoy.drivers.base import closing_mps
@@ -33,7 +33,7 @@ is closed at the speed that can still be braked."""
 
 
 @dataclass(frozen=True)
-class FollowMpcOptions:
+class FollowMpcOptions(Checked):
     """Weights of the programme.
 
     Attributes:
@@ -47,9 +47,6 @@ class FollowMpcOptions:
     speed: float = declare(1.0, low=0.0, high=1e3)
     change: float = declare(0.2, low=0.0, high=1e3)
     fading: float = declare(0.97, low=0.0, high=1.0)
-
-    def __post_init__(self) -> None:
-        check_fields(self)
 
 
 class MpcMemory(NamedTuple):

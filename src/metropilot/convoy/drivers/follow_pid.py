@@ -7,7 +7,7 @@ from typing import final, no_type_check
 
 import numpy as np
 
-from metropilot._schema import check_fields, declare
+from metropilot._schema import Checked, declare
 from metropilot._typing import Array, Scalar
 from metropilot.control import Errors, Gains, incremental_pid
 from metropilot.convoy.drivers.base import AbstractFollower, waits
@@ -53,7 +53,7 @@ def gains_of(action: Array) -> Gains:
 
 
 @dataclass(frozen=True)
-class FollowPidOptions:
+class FollowPidOptions(Checked):
     """Gains of the PID, 1/(m/s); the best of a grid within Chen23b's bounds on its own run.
 
     Attributes:
@@ -65,9 +65,6 @@ class FollowPidOptions:
     proportional: float = declare(5.0, low=GAIN_LOW.proportional, high=GAIN_HIGH.proportional)
     integral: float = declare(1.5, low=GAIN_LOW.integral, high=GAIN_HIGH.integral)
     derivative: float = declare(0.5, low=GAIN_LOW.derivative, high=GAIN_HIGH.derivative)
-
-    def __post_init__(self) -> None:
-        check_fields(self)
 
 
 @final

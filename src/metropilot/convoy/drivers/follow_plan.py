@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import final, no_type_check
 
-from metropilot._schema import check_fields, declare
+from metropilot._schema import Checked, declare
 from metropilot._typing import Scalar
 from metropilot.control import PredictedState
 from metropilot.convoy.drivers.base import Memory, closing_mps
@@ -17,7 +17,7 @@ from metropilot.physics import namespace
 
 
 @dataclass(frozen=True)
-class FollowPlanOptions:
+class FollowPlanOptions(Checked):
     """Options of :class:`FollowPlan`.
 
     Attributes:
@@ -27,9 +27,6 @@ class FollowPlanOptions:
 
     bandwidth_per_s: float = declare(0.8, low=0.05, high=3.0)
     damping: float = declare(1.0, low=0.5, high=3.0)
-
-    def __post_init__(self) -> None:
-        check_fields(self)
 
 
 @final

@@ -17,7 +17,7 @@ from typing import Any, ClassVar, NamedTuple, cast, final
 
 import numpy as np
 
-from metropilot._schema import check_fields, declare
+from metropilot._schema import Checked, declare
 from metropilot._typing import Index, Scalar
 from metropilot.control import (
     Ceiling,
@@ -379,7 +379,7 @@ def _follow_fall(ground: ExpertTrack, ahead: PredictedState, dt: float) -> float
 
 
 @dataclass(frozen=True)
-class EitoeOptions:
+class EitoeOptions(Checked):
     """Prior knowledge of the expert about the brake.
 
     Attributes:
@@ -394,9 +394,6 @@ class EitoeOptions:
     brake_gain: float = declare(1.0, low=GAIN[0], high=GAIN[1])
     brake_known: bool = declare(True)
     intervals: bool = declare(False)
-
-    def __post_init__(self) -> None:
-        check_fields(self)
 
     @property
     def hoa(self) -> Hoa:

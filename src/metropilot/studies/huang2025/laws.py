@@ -32,7 +32,7 @@ from typing import Any, NamedTuple, no_type_check
 
 import numpy as np
 
-from metropilot._schema import check_fields, declare
+from metropilot._schema import Checked, declare
 from metropilot._typing import Array, Float, Scalar
 from metropilot.control import (
     AT_ONCE_MPS3,
@@ -80,7 +80,7 @@ OBSERVED = 7
 
 
 @dataclass(frozen=True)
-class ExpertRules:
+class ExpertRules(Checked):
     """The expert's constants.
 
     Attributes:
@@ -101,9 +101,6 @@ class ExpertRules:
     brake_mps2: float = declare(0.9, unit="m/s^2", low=0.0, high=2.0, above=True)
     safe_share: float = declare(0.95, low=0.0, high=1.0, above=True)
     intervals: bool = False
-
-    def __post_init__(self) -> None:
-        check_fields(self)
 
 
 class ExpertStretch(NamedTuple):
