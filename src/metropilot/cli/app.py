@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import re
 import sys
 from collections.abc import Sequence
 from importlib import import_module
@@ -13,11 +12,11 @@ import typer
 
 import metropilot
 from metropilot.cli.complete import words_to_complete
+from metropilot.cli.options import INTERRUPTED, UNIT
 from metropilot.errors import InputError, MetropilotError
 
 SUMMARY = "Compute, learn, compare and explain how a metro train should be driven, against the optimum."
 BAD_INPUT = 2
-INTERRUPTED = 130
 
 COMMANDS: dict[str, tuple[str, str]] = {
     "drive": ("metropilot.cli.drive", "Drive one run under protection and report it."),
@@ -57,9 +56,6 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "import": ("metropilot.cli.import_file", "Read a line, trainset or journey file and write it as TOML."),
 }
 """Module and help line of each command; modules are imported on use."""
-
-
-UNIT = re.compile(r"_(s|m|mps|mps2|mps3|mb)$")
 
 
 def main(argv: Sequence[str] | None = None) -> NoReturn:

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from inspect import Parameter
+from collections.abc import Sequence
 from itertools import pairwise
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from metropilot._schema import field_default, field_specs, field_type
 from metropilot.cli import complete
 from metropilot.cli import options as opt
 from metropilot.cli.console import console, number, print_json, show_activity, table
 from metropilot.convoy import ServiceOptions
 from metropilot.errors import InputError
+from metropilot.units import KMH_PER_MPS
 
 if TYPE_CHECKING:
     from metropilot.convoy import Capacity
@@ -30,13 +29,7 @@ EXAMPLES = {
 SERVICE = "The service"
 
 
-def _service_options() -> Iterator[Parameter]:
-    for name, spec in field_specs(ServiceOptions).items():
-        kind, default = field_type(ServiceOptions, name), field_default(ServiceOptions, name)
-        yield opt.option_of(name, spec, kind, default, SERVICE)
-
-
-@opt.with_run_options(only=("trainset", "load"), more=tuple(_service_options()))
+@opt.with_run_options(only=("trainset", "load"), more=opt.options_of(ServiceOptions, SERVICE))
 def capacity_command(
     line: opt.LineArgument,
     origin: Annotated[
@@ -121,7 +114,7 @@ def _print_places(rows: Sequence[Capacity], title: str) -> None:
                 each.name,
                 number(each.headway_s, 1),
                 number(each.from_m, 0) if each.from_m == each.to_m else f"{each.from_m:.0f}–{each.to_m:.0f}",
-                number(3.6 * each.speed_mps, 0),
+                number(KMH_PER_MPS * each.speed_mps, 0),
                 "binds" if each.binds else "",
             )
             for each in blocking.places
@@ -143,9 +136,7 @@ def _counts(text: str) -> tuple[int, ...]:
 
 def _sections(line: Line, origin: str | None, destination: str | None) -> tuple[Section, ...]:
     """The sections between two stations, with every stop on the way."""
-    if (origin is None) != (destination is None):
-        missing = "destination" if origin else "origin"
-        raise InputError("missing", field=missing, allowed="both stations or none")
+    opt.check_both(origin, destination)
     stations = list(line.stations)
     first = stations.index(line.station(origin)) if origin else 0
     last = stations.index(line.station(destination)) if destination else len(stations) - 1

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from inspect import Parameter
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from metropilot._schema import FieldSpec, field_default, field_specs, field_type
+from metropilot._schema import FieldSpec, field_specs
 from metropilot.cli import options as opt
 from metropilot.cli.console import console, number, print_json, requirements, show_activity, table
 from metropilot.convoy import ConvoyRequest, Link, convoy_from_json, in_run_json
@@ -33,16 +31,15 @@ EXAMPLES = {
 CONVOY, LINK = "The convoy", "The link between trainsets"
 
 
-def _convoy_options() -> Iterator[Parameter]:
-    """Options of the declared fields of a convoy and of its link."""
-    for kind, panel, prefix in ((ConvoyRequest, CONVOY, ""), (Link, LINK, "link_")):
-        for name, spec in field_specs(kind).items():
-            yield opt.option_of(prefix + name, spec, field_type(kind, name), field_default(kind, name), panel)
-    spec = FieldSpec("Driver of the head; see `metropilot drivers`.", option="head")
-    yield opt.option_of("head_driver", spec, str, "optimal", CONVOY)
+HEAD = FieldSpec("Driver of the head; see `metropilot drivers`.", option="head")
+OPTIONS = (
+    *opt.options_of(ConvoyRequest, CONVOY),
+    *opt.options_of(Link, LINK, "link_"),
+    opt.option_of("head_driver", HEAD, str, "optimal", CONVOY),
+)
 
 
-@opt.with_run_options("driver", more=tuple(_convoy_options()), dt_s=0.1)
+@opt.with_run_options("driver", more=OPTIONS, dt_s=0.1)
 def convoy_command(
     line: Annotated[str | None, opt.LINE] = None,
     origin: Annotated[str | None, opt.ORIGIN] = None,

@@ -17,7 +17,6 @@ from metropilot.errors import InputError
 if TYPE_CHECKING:
     from metropilot.learn import PolicyEvaluation, RunRecord, RunRequest, RunStore
 
-INTERRUPTED = 130
 ASKED = "What to learn"
 EXAMPLES = {
     "learn": (
@@ -239,5 +238,5 @@ def learn_and_report(
             sys.stderr.write(
                 f"metropilot: interrupted after {done}; resume with: metropilot learn --resume {again}\n"
             )
-            return INTERRUPTED
+            return opt.INTERRUPTED
     return report_done(store, record, as_json=as_json)

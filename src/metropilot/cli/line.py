@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from inspect import Parameter
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from metropilot._schema import field_default, field_specs, field_type
 from metropilot.cli import complete
 from metropilot.cli import options as opt
 from metropilot.cli.console import console, number, print_json, show_activity, table
@@ -39,13 +36,7 @@ EXAMPLES = {
 OPERATION = "Operation"
 
 
-def _operation_options() -> Iterator[Parameter]:
-    for name, spec in field_specs(OperationOptions).items():
-        kind, default = field_type(OperationOptions, name), field_default(OperationOptions, name)
-        yield opt.option_of(name, spec, kind, default, OPERATION)
-
-
-@opt.with_run_options(only=("trainset", "load"), more=tuple(_operation_options()))
+@opt.with_run_options(only=("trainset", "load"), more=opt.options_of(OperationOptions, OPERATION))
 def line_command(
     context: Any,  # noqa: ANN401 (typer.Context, as far as typer knows)
     line: opt.LineArgument,

@@ -11,13 +11,15 @@ from typing import Annotated, Any, TypeVar, cast, get_type_hints
 
 import typer
 
-from metropilot._schema import FieldSpec
+from metropilot._schema import FieldSpec, field_default, field_specs, field_type
 from metropilot.cli import complete
 from metropilot.errors import InputError
 
 Command = TypeVar("Command", bound=Callable[..., int])
 UNIT = re.compile(r"_(s|m|mps|mps2|mps3|mb)$")
 """Unit suffixes of field names, absent from option names."""
+INTERRUPTED = 130
+"""Exit code."""
 ABOUT, WORLD, OUTPUT = "What to drive", "Disturbances", "Output"
 ABOUT_FIELDS = ("time_s", "trainset", "load", "driver", "options", "objective", "dt_s")
 
@@ -61,6 +63,13 @@ def check_source(again: Path | None, file: str, *ends: str | None) -> None:
         if end is None:
             allowed = f"LINE ORIGIN DESTINATION, or --from {file.upper()}"
             raise InputError("missing", field=name, allowed=allowed)
+
+
+def check_both(origin: str | None, destination: str | None) -> None:
+    """Check that a command was given two stations or none."""
+    if (origin is None) != (destination is None):
+        missing = "destination" if origin else "origin"
+        raise InputError("missing", field=missing, allowed="both stations or none")
 
 
 def with_run_options(
@@ -120,6 +129,20 @@ def run_option(key: str, **defaults: Any) -> Parameter:  # noqa: ANN401 (of any 
     default = defaults.get(key, getattr(RunSpec, key, getattr(Disturbance, key, None)))
     panel = ABOUT if key in ABOUT_FIELDS else WORLD
     return option_of(key, run_fields()[key], key_type(key), default, panel)
+
+
+def options_of(kind: type[Any], panel: str, prefix: str = "") -> tuple[Parameter, ...]:
+    """Typer parameters of the options for all declared fields of a dataclass.
+
+    Args:
+        kind: The dataclass.
+        panel: Panel of the help.
+        prefix: Beginning of the values' names.
+    """
+    return tuple(
+        option_of(prefix + name, spec, field_type(kind, name), field_default(kind, name), panel)
+        for name, spec in field_specs(kind).items()
+    )
 
 
 def option_of(name: str, spec: FieldSpec, kind: type, default: Any, panel: str) -> Parameter:  # noqa: ANN401

@@ -71,10 +71,7 @@ def plan_command(
     from metropilot.planning import PlanOptions
     from metropilot.railway import load_line, load_trainset
 
-    if (origin is None) != (destination is None):
-        raise InputError(
-            "missing", field="destination" if origin else "origin", allowed="both stations or none"
-        )
+    opt.check_both(origin, destination)
     trainset, load, objective = (given[key] for key in ("trainset", "load", "objective"))
     run_fields()["objective"].check("objective", objective)
     if jerk is not None and not 0 < jerk < float("inf"):

@@ -18,9 +18,8 @@ from dataclasses import dataclass
 from typing import ClassVar, final, get_args
 
 from metropilot._schema import Checked, declare
-from metropilot.drivers.optimal import FollowingMemory, Optimal, OptimalOptions
+from metropilot.drivers.optimal import Optimal, OptimalOptions
 from metropilot.planning import Objective
-from metropilot.sim import AbstractDriver, Observation, Run
 
 
 @dataclass(frozen=True)
@@ -44,14 +43,14 @@ class MpcOptions(Checked):
 
 
 @final
-class Mpc(AbstractDriver):
+class Mpc(Optimal):
     """Plans the rest of the run anew every few seconds."""
 
     id: ClassVar[str] = "mpc"
 
     def __init__(self, options: MpcOptions | None = None) -> None:
         chosen = options or MpcOptions()
-        self.follower = Optimal(
+        super().__init__(
             OptimalOptions(
                 objective=chosen.objective,
                 period_s=chosen.period_s,
@@ -60,11 +59,3 @@ class Mpc(AbstractDriver):
                 spacing_m=chosen.spacing_m,
             )
         )
-
-    def init(self, run: Run) -> FollowingMemory:
-        """Plan the whole section for the nominal plant."""
-        return self.follower.init(run)
-
-    def act(self, memory: FollowingMemory, observation: Observation) -> tuple[float, FollowingMemory]:
-        """Plan anew if it is time to, then follow the plan or the stop."""
-        return self.follower.act(memory, observation)

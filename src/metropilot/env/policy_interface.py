@@ -67,8 +67,7 @@ class PolicyInterface:
         try:
             return _read(values)
         except InputError as error:
-            story = {"value": error.value, "allowed": error.allowed}
-            raise InputError(error.message, file=file, field=error.field, **story) from None
+            raise error.at(file=file) from None
 
 
 def _plain(values: Mapping[str, Any]) -> dict[str, Any]:

@@ -26,9 +26,8 @@ from metropilot.railway import (
     drawn_trainset,
 )
 from metropilot.sim import Disturbance, Run, declared_bounds
-from metropilot.units import KMH_PER_MPS
+from metropilot.units import KMH_PER_MPS, STANDARD_GRAVITY_MPS2
 
-GRAVITY_MPS2 = 9.81
 STEEPEST_PERMIL = (6.0, 14.0, 28.0, 40.0)
 PLATFORM_KMH = (45.0, 50.0, 55.0, 60.0)
 WIDE = 1
@@ -333,7 +332,7 @@ def draw_wide_sample(seed: int, number: int) -> DomainSample:
     low, high = WIDE_LENGTH_M if random.random() < 0.5 else WIDE_USUAL_M
     length = float(np.exp(random.uniform(np.log(low), np.log(high))))
     start_mps2 = float(trainset.traction.at(0.0)) / trainset.effective_mass_kg
-    gradients = _gradients(random, length, 1e3 * CLIMB_SHARE * start_mps2 / GRAVITY_MPS2)
+    gradients = _gradients(random, length, 1e3 * CLIMB_SHARE * start_mps2 / STANDARD_GRAVITY_MPS2)
     top = random.uniform(40.0, trainset.max_speed_mps * KMH_PER_MPS)
     limits = _limits(random, length, top, WIDE_LIMIT_SHARES, WIDE_SLOWEST_KMH)
     return DomainSample(_section(length, gradients, limits), trainset)
@@ -403,7 +402,7 @@ def draw_trainset(random: Generator, max_speed_mps: float) -> Trainset:
     speed = np.linspace(0.0, 36.0, 37)
     falling = np.where(speed <= knee, 1.0, (np.maximum(speed, knee) / knee) ** -power)
     braking = random.uniform(0.75, 1.2)
-    weight_kn = mass * GRAVITY_MPS2 * 1e-3
+    weight_kn = mass * STANDARD_GRAVITY_MPS2 * 1e-3
     davis = Davis(
         weight_kn * random.uniform(1.0, 3.0),
         weight_kn * 0.0622 * KMH_PER_MPS * random.uniform(0.0, 1.4),

@@ -6,6 +6,7 @@ from .comparison import Interval as Interval
 from .comparison import Job as Job
 from .comparison import best as best
 from .comparison import best_of as best_of
+from .comparison import bootstrap as bootstrap
 from .comparison import compare as compare
 from .comparison import jobs as jobs
 from .difference import RunDifference as RunDifference

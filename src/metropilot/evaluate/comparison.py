@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -101,24 +101,31 @@ def compare(request: RunSpec, todo: Iterable[Job]) -> tuple[Entry, ...]:
     )
 
 
-def bootstrap(values: Float[ndarray, " seeds"]) -> Interval:
-    """Mean with its 95 % percentile-bootstrap interval; equal values give an interval of no width.
+def bootstrap(
+    values: Float[ndarray, " seeds"], statistic: Callable[..., Any] = np.mean, seed: int = 0
+) -> Interval:
+    """Mean, or another statistic, with its 95 % percentile-bootstrap interval; of no width for equal values.
 
     Source: Efron and Tibshirani, An Introduction to the Bootstrap (1993), chapter 13; here from SciPy, with a
     fixed seed so that a table repeats itself.
+
+    Args:
+        values: One per seed.
+        statistic: NumPy function of them.
+        seed: Seed of the resampling.
     """
-    mean = float(values.mean())
+    mean = float(statistic(values))
     if values.size < 2 or np.ptp(values) == 0:
         return Interval(mean, mean, mean)
     from scipy.stats import bootstrap as resample
 
     found: Any = resample(
         (values,),
-        np.mean,
+        statistic,
         confidence_level=CONFIDENCE,
         n_resamples=RESAMPLES,
         method="percentile",
-        rng=np.random.default_rng(0),
+        rng=np.random.default_rng(seed),
     )
     return Interval(mean, float(found.confidence_interval.low), float(found.confidence_interval.high))
 

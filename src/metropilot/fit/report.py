@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import asdict, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -129,19 +129,6 @@ def fitted_trainset(found: Calibration, name: str) -> Trainset:
 
 def fit_json(found: Calibration) -> dict[str, Any]:
     """Fit as plain values: parameters with intervals, resistance, correlations, residuals in numbers."""
-
-    def row(p: FittedParameter) -> dict[str, Any]:
-        return {
-            "id": p.id,
-            "label": p.label,
-            "unit": p.unit,
-            "value": p.value,
-            "low": p.low,
-            "high": p.high,
-            "nominal": p.nominal,
-            "estimated": p.estimated,
-        }
-
     return {
         "trainset": found.nominal.id,
         "load": found.nominal.load,
@@ -151,8 +138,8 @@ def fit_json(found: Calibration) -> dict[str, Any]:
         "samples": found.samples,
         "residual_mps": found.noise_mps,
         "mass_kg": found.nominal.mass_kg * found["mass_factor"].value,
-        "parameters": [row(p) for p in found.parameters],
-        "resistance": [row(p) for p in found.resistance],
+        "parameters": [asdict(p) for p in found.parameters],
+        "resistance": [asdict(p) for p in found.resistance],
         "correlation": {"order": list(found.estimated), "rows": found.correlation.tolist()},
         "notes": list(found.notes),
         "ambiguities": ambiguities(found),

@@ -398,10 +398,7 @@ def config_from_mapping(algorithm: str, values: Mapping[str, Any], *, file: obje
     try:
         return change_config(CONFIGS[algorithm](), values)
     except InputError as error:
-        if file is None:
-            raise
-        story = {"field": error.field, "value": error.value, "allowed": error.allowed}
-        raise InputError(error.message, file=file, **story) from None
+        raise error.at(file=file) from None
 
 
 def change_config(config: AbstractConfig, values: Mapping[str, Any]) -> AbstractConfig:

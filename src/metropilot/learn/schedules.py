@@ -60,11 +60,6 @@ def value_at(number: Scheduled, progress: Any) -> Any:
     return number.at(progress) if isinstance(number, Schedule) else number
 
 
-def lowest(number: Scheduled | int) -> float | int:
-    """The smaller of both ends."""
-    return min(number.start, number.end) if isinstance(number, Schedule) else number
-
-
 def highest(number: Scheduled | int) -> float | int:
     """The larger of both ends."""
     return max(number.start, number.end) if isinstance(number, Schedule) else number

@@ -12,6 +12,7 @@ from numpy import ndarray
 from metropilot._typing import Float
 from metropilot.operation.line_service import LineOperation, Profiles, Timetable
 from metropilot.operation.network import NetworkFlow, TrainLoads, solve_network
+from metropilot.operation.power import integral_until
 from metropilot.railway import Feeding
 from metropilot.units import J_PER_KWH
 
@@ -55,14 +56,9 @@ def _journey(
         power_w.append(net_w + operation.trainset.auxiliary_w)
     begin_s, place_m, ends_w = (np.concatenate(each) for each in (time_s, position_m, power_w))
     # after its last arrival the train is shut down
-    lasts_s, ends_w = np.diff(begin_s), ends_w[:-1]
-    energy_j = np.append(0.0, np.cumsum(lasts_s * ends_w.mean(axis=1)))
     first_s, last_s = int(np.floor(begin_s[0])), int(np.ceil(begin_s[-1]))
     clock_s = np.clip(np.arange(first_s, last_s + 1), begin_s[0], begin_s[-1])
-    at = np.clip(np.searchsorted(begin_s, clock_s, side="right") - 1, 0, lasts_s.size - 1)
-    since_s = clock_s - begin_s[at]
-    rise = np.divide(ends_w[at, 1] - ends_w[at, 0], lasts_s[at], out=np.zeros(at.size), where=lasts_s[at] > 0)
-    reached_j = energy_j[at] + since_s * (ends_w[at, 0] + 0.5 * rise * since_s)
+    reached_j = integral_until(begin_s, ends_w[:-1], clock_s)
     return _Journey(first_s, np.interp(clock_s[:-1] + 0.5, begin_s, place_m), np.diff(reached_j))
 
 

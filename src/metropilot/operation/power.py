@@ -64,7 +64,7 @@ class PowerProfile:
 
     def net_until_j(self, transfer_loss: float, at_s: Float[ndarray, " times"]) -> Float[ndarray, " times"]:
         """Integral of the net power from the departure to each time; there is none beside the trip."""
-        return _integral_until(self.time_s, self.net_w(transfer_loss), at_s)
+        return integral_until(self.time_s, self.net_w(transfer_loss), at_s)
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,7 +92,7 @@ class PeriodicPower:
     def until_j(self, at_s: Float[ndarray, " times"]) -> Float[ndarray, " times"]:
         """Integral from time zero to each time, over headways before and after too."""
         headways, at_s = np.divmod(at_s, self.time_s[-1])
-        return headways * _integral(self.time_s, self.power_w) + _integral_until(
+        return headways * _integral(self.time_s, self.power_w) + integral_until(
             self.time_s, self.power_w, at_s
         )
 
@@ -169,7 +169,7 @@ def _integral(time_s: ndarray, power_w: ndarray) -> float:
     return float(np.sum(np.diff(time_s) * power_w.mean(axis=1)))
 
 
-def _integral_until(time_s: ndarray, power_w: ndarray, at_s: ndarray) -> ndarray:
+def integral_until(time_s: ndarray, power_w: ndarray, at_s: ndarray) -> ndarray:
     """Integral of linear pieces from their first knot to each time."""
     lasts = np.diff(time_s)
     before = np.concatenate([[0.0], np.cumsum(lasts * power_w.mean(axis=1))])

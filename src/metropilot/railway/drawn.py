@@ -15,7 +15,7 @@ from numpy.random import Generator
 
 from metropilot.railway.effort import Efficiency, EffortCurve
 from metropilot.railway.trainset import Actuation, Couplers, Davis, SafeBraking, Trainset
-from metropilot.units import KMH_PER_MPS
+from metropilot.units import KMH_PER_MPS, STANDARD_GRAVITY_MPS2
 
 NAME = re.compile(r"drawn-(\d{1,9})-(\d{1,9})")
 LEAST, MOST = "least", "most"
@@ -27,7 +27,6 @@ DELAY_S, LAG_S = (0.0, 1.0), (0.0, 0.6)
 BLENDS = ("friction", "blended", "electric first", "electric")
 """Brakes: friction alone, electric with friction, electric that suffices at low speed, electric alone."""
 BLOCKS = ("mass", "body", "resistance", "traction", "electric_brake", "friction_brake", "limits", "energy")
-GRAVITY_MPS2 = 9.81
 SPEEDS = 25
 """Points of an effort curve."""
 
@@ -62,7 +61,7 @@ def drawn_trainset(seed: int, number: int) -> Trainset:
     delay, lag = (
         0.0 if random.random() < 0.125 else round(float(random.uniform(*s)), 2) for s in (DELAY_S, LAG_S)
     )
-    weight_kn = heavy * GRAVITY_MPS2 / 1e3
+    weight_kn = heavy * STANDARD_GRAVITY_MPS2 / 1e3
     davis = Davis(
         weight_kn * random.uniform(1.0, 3.0),
         weight_kn * 0.0622 * KMH_PER_MPS * random.uniform(0.0, 1.4),

@@ -53,47 +53,45 @@ class Journey(CatalogueRecord):
     points: tuple[TimingPoint, ...]
 
     def __post_init__(self) -> None:
-        check_journey(self)
+        """Refuse what nothing could drive: windows upside down, positions or times that turn back.
 
-
-def check_journey(journey: Journey) -> None:
-    """Refuse a journey that nothing could drive: windows upside down, positions or times that turn back.
-
-    Raises:
-        InputError: Naming the timing point, the value and what is allowed.
-    """
-    points = journey.points
-    if len(points) < 2:
-        raise InputError(
-            "needs timing points", field="timing_points", value=len(points), allowed="at least 2"
-        )
-    for index, point in enumerate(points):
-        where = f"timing_points[{index}]"
-        if not math.isfinite(point.position_m):
-            raise InputError("must be finite", field=f"{where}.position", value=point.position_m, unit="m")
-        for low, high, name, unit in (
-            (point.earliest_s, point.latest_s, "latest", "s"),
-            (point.slowest_mps, point.fastest_mps, "fastest", "m/s"),
-        ):
-            if low is not None and high is not None and not low <= high:
-                raise InputError(
-                    "window ends before it begins",
-                    field=f"{where}.{name}",
-                    value=tidy(high),
-                    unit=unit,
-                    allowed=f">= {low:g} {unit}",
-                )
-    sign = 1.0 if points[-1].position_m >= points[0].position_m else -1.0
-    for index, (before, after) in enumerate(pairwise(points), start=1):
-        if sign * (after.position_m - before.position_m) < 0:
+        Raises:
+            InputError: Naming the timing point, the value and what is allowed.
+        """
+        points = self.points
+        if len(points) < 2:
             raise InputError(
-                "positions turn back",
-                field=f"timing_points[{index}].position",
-                value=tidy(after.position_m),
-                unit="m",
-                allowed=f"{'>=' if sign > 0 else '<='} {before.position_m:g} m",
+                "needs timing points", field="timing_points", value=len(points), allowed="at least 2"
             )
-    _check_times(points)
+        for index, point in enumerate(points):
+            where = f"timing_points[{index}]"
+            if not math.isfinite(point.position_m):
+                raise InputError(
+                    "must be finite", field=f"{where}.position", value=point.position_m, unit="m"
+                )
+            for low, high, name, unit in (
+                (point.earliest_s, point.latest_s, "latest", "s"),
+                (point.slowest_mps, point.fastest_mps, "fastest", "m/s"),
+            ):
+                if low is not None and high is not None and not low <= high:
+                    raise InputError(
+                        "window ends before it begins",
+                        field=f"{where}.{name}",
+                        value=tidy(high),
+                        unit=unit,
+                        allowed=f">= {low:g} {unit}",
+                    )
+        sign = 1.0 if points[-1].position_m >= points[0].position_m else -1.0
+        for index, (before, after) in enumerate(pairwise(points), start=1):
+            if sign * (after.position_m - before.position_m) < 0:
+                raise InputError(
+                    "positions turn back",
+                    field=f"timing_points[{index}].position",
+                    value=tidy(after.position_m),
+                    unit="m",
+                    allowed=f"{'>=' if sign > 0 else '<='} {before.position_m:g} m",
+                )
+        _check_times(points)
 
 
 def _check_times(points: tuple[TimingPoint, ...]) -> None:

@@ -259,7 +259,41 @@ class Line(CatalogueRecord):
     authority: MovementAuthority = MovementAuthority()
 
     def __post_init__(self) -> None:
-        check_line(self)
+        """Refuse a line whose parts do not fit together.
+
+        Raises:
+            InputError: Naming the field, its value and what is allowed.
+        """
+        stops = self.stations
+        if len(stops) < 2:
+            raise InputError("needs stations", field="stations", value=len(stops), allowed="at least 2")
+        check_positions("stations", [each.position_m for each in stops])
+        seen: set[str] = set()
+        for index, stop in enumerate(stops):
+            if _key(stop.code) in seen:
+                raise InputError(
+                    "code used twice",
+                    field=f"stations[{index}].code",
+                    value=stop.code,
+                    allowed="a code of its own",
+                )
+            seen.add(_key(stop.code))
+        wanted = {
+            "planned_forward_s": len(stops) - 1,
+            "planned_backward_s": len(stops) - 1,
+            "dwell_s": len(stops) - 2,
+        }
+        for name, length in wanted.items():
+            table = getattr(self, name)
+            if table and len(table) != length:
+                each = "section" if length == len(stops) - 1 else "station on the way"
+                allowed = f"{length}, one for each {each}"
+                raise InputError("wrong length", field=f"timetable.{name}", value=len(table), allowed=allowed)
+        slowest = float(self.limit_mps.value.min())
+        if not slowest > 0:
+            raise InputError(
+                "speed limit out of range", field="limit_mps", value=slowest, unit="m/s", allowed="> 0 m/s"
+            )
 
     def station(self, key: str) -> Station:
         """The station a user means by a code, a name, or a unique beginning of one (case, spaces ignored).
@@ -267,7 +301,19 @@ class Line(CatalogueRecord):
         Raises:
             InputError: No station matches, or more than one does (the matches are listed).
         """
-        return find_station(self, key)
+        wanted = _key(key)
+        keys = {
+            s.code: {_key(t) for t in (s.code, s.name, s.pinyin, s.local_name)} - {""} for s in self.stations
+        }
+        exact = [s for s in self.stations if wanted in keys[s.code]]
+        if len(exact) == 1:
+            return exact[0]
+        begins = [s for s in self.stations if wanted and any(k.startswith(wanted) for k in keys[s.code])]
+        if len(begins) == 1:
+            return begins[0]
+        listed = ", ".join(f"{s.code} ({s.name})" for s in (exact or begins or self.stations))
+        problem = "ambiguous station, it matches several" if (exact or begins) else "unknown station"
+        raise InputError(problem, file=self.id, field="station", value=key, allowed=listed)
 
     def section(self, origin: str | Station, destination: str | Station) -> Section:
         """Cut the run between two stations (not necessarily neighbours) in either direction.
@@ -277,7 +323,49 @@ class Line(CatalogueRecord):
         """
         start = origin if isinstance(origin, Station) else self.station(origin)
         end = destination if isinstance(destination, Station) else self.station(destination)
-        return cut_section(self, start, end)
+        if start.position_m == end.position_m:
+            raise InputError(
+                "origin and destination are the same station",
+                file=self.id,
+                field="destination",
+                value=end.code,
+            )
+        zero_m, backward = start.position_m, end.position_m < start.position_m
+        if abs(end.position_m - zero_m) > LONGEST_M:
+            raise InputError(
+                "the section is too long",
+                file=self.id,
+                field="destination",
+                value=f"{start.code}-{end.code}, {abs(end.position_m - zero_m):g}",
+                unit="m",
+                allowed=f"at most {LONGEST_M:g} m",
+            )
+        if backward:
+            limit = self.limit_mps.mirror(zero_m)
+            gradient = self.gradient_permil.mirror(zero_m, -1.0)
+            curves = _mirrored_curves(self.curves, zero_m)
+            tunnels = tuple(replace(t, from_m=zero_m - t.from_m - t.length_m) for t in self.tunnels[::-1])
+        else:
+            limit, gradient = self.limit_mps.shift(zero_m), self.gradient_permil.shift(zero_m)
+            curves = tuple(replace(c, from_m=c.from_m - zero_m) for c in self.curves)
+            tunnels = tuple(replace(t, from_m=t.from_m - zero_m) for t in self.tunnels)
+        codes = [s.code for s in self.stations]
+        first, last = codes.index(start.code), codes.index(end.code)
+        # A timetable has the times between neighbours; without one for the way back, both ways take the same.
+        table = self.planned_backward_s if backward and self.planned_backward_s else self.planned_forward_s
+        planned_s = float(table[min(first, last)]) if table and abs(last - first) == 1 else None
+        return Section(
+            line_id=self.id,
+            origin=start,
+            destination=end,
+            length_m=abs(end.position_m - start.position_m),
+            limit_mps=limit,
+            gradient_permil=gradient,
+            curves=curves,
+            tunnels=tunnels,
+            planned_time_s=planned_s,
+            authority=self.authority,
+        )
 
     def sections(self, *, backward: bool = False) -> tuple[Section, ...]:
         """Every section between neighbouring stations, in the order a trainset meets them."""
@@ -287,104 +375,6 @@ class Line(CatalogueRecord):
 
 def _key(text: str) -> str:
     return "".join(ch for ch in text.casefold() if ch.isalnum())
-
-
-def check_line(line: Line) -> None:
-    """Refuse a line whose parts do not fit together.
-
-    Raises:
-        InputError: Naming the field, its value and what is allowed.
-    """
-    stops = line.stations
-    if len(stops) < 2:
-        raise InputError("needs stations", field="stations", value=len(stops), allowed="at least 2")
-    check_positions("stations", [each.position_m for each in stops])
-    seen: set[str] = set()
-    for index, stop in enumerate(stops):
-        if _key(stop.code) in seen:
-            raise InputError(
-                "code used twice",
-                field=f"stations[{index}].code",
-                value=stop.code,
-                allowed="a code of its own",
-            )
-        seen.add(_key(stop.code))
-    wanted = {
-        "planned_forward_s": len(stops) - 1,
-        "planned_backward_s": len(stops) - 1,
-        "dwell_s": len(stops) - 2,
-    }
-    for name, length in wanted.items():
-        table = getattr(line, name)
-        if table and len(table) != length:
-            what = "one for each section" if length == len(stops) - 1 else "one for each station on the way"
-            raise InputError(
-                "wrong length", field=f"timetable.{name}", value=len(table), allowed=f"{length}, {what}"
-            )
-    slowest = float(line.limit_mps.value.min())
-    if not slowest > 0:
-        raise InputError(
-            "speed limit out of range", field="limit_mps", value=slowest, unit="m/s", allowed="> 0 m/s"
-        )
-
-
-def find_station(line: Line, key: str) -> Station:
-    """The station that a key names; see :meth:`Line.station`."""
-    wanted = _key(key)
-    keys = {s.code: {_key(t) for t in (s.code, s.name, s.pinyin, s.local_name)} - {""} for s in line.stations}
-    exact = [s for s in line.stations if wanted in keys[s.code]]
-    if len(exact) == 1:
-        return exact[0]
-    begins = [s for s in line.stations if wanted and any(k.startswith(wanted) for k in keys[s.code])]
-    if len(begins) == 1:
-        return begins[0]
-    listed = ", ".join(f"{s.code} ({s.name})" for s in (exact or begins or line.stations))
-    problem = "ambiguous station, it matches several" if (exact or begins) else "unknown station"
-    raise InputError(problem, file=line.id, field="station", value=key, allowed=listed)
-
-
-def cut_section(line: Line, start: Station, end: Station) -> Section:
-    """The run between two stations; see :meth:`Line.section`."""
-    if start.position_m == end.position_m:
-        raise InputError(
-            "origin and destination are the same station", file=line.id, field="destination", value=end.code
-        )
-    origin, backward = start.position_m, end.position_m < start.position_m
-    if abs(end.position_m - origin) > LONGEST_M:
-        raise InputError(
-            "the section is too long",
-            file=line.id,
-            field="destination",
-            value=f"{start.code}-{end.code}, {abs(end.position_m - origin):g}",
-            unit="m",
-            allowed=f"at most {LONGEST_M:g} m",
-        )
-    if backward:
-        limit = line.limit_mps.mirror(origin)
-        gradient = line.gradient_permil.mirror(origin, -1.0)
-        curves = _mirrored_curves(line.curves, origin)
-        tunnels = tuple(replace(t, from_m=origin - t.from_m - t.length_m) for t in line.tunnels[::-1])
-    else:
-        limit, gradient = line.limit_mps.shift(origin), line.gradient_permil.shift(origin)
-        curves = tuple(replace(c, from_m=c.from_m - origin) for c in line.curves)
-        tunnels = tuple(replace(t, from_m=t.from_m - origin) for t in line.tunnels)
-    codes = [s.code for s in line.stations]
-    first, last = codes.index(start.code), codes.index(end.code)
-    # A timetable has the times between neighbours; without one for the way back, both ways take the same.
-    table = line.planned_backward_s if backward and line.planned_backward_s else line.planned_forward_s
-    planned_s = float(table[min(first, last)]) if table and abs(last - first) == 1 else None
-    return Section(
-        line_id=line.id,
-        origin=start,
-        destination=end,
-        length_m=abs(end.position_m - start.position_m),
-        limit_mps=limit,
-        gradient_permil=gradient,
-        curves=curves,
-        tunnels=tunnels,
-        planned_time_s=planned_s,
-        authority=line.authority,
-    )
 
 
 LONGEST_M = 1.2e5

@@ -8,13 +8,13 @@ from typing import Any, Literal
 
 import numpy as np
 
+from metropilot.evaluate import bootstrap
 from metropilot.studies.report import ReportRow
 
 Judgement = Literal["beaten", "matched", "missed", "cannot be tested"]
 Aim = Literal["low", "high", "same"]
 Standing = Literal["better", "worse", "same", "unsure"]
-CONFIDENCE, SIGNIFICANCE = 0.95, 0.05
-RESAMPLES = 2000
+SIGNIFICANCE = 0.05
 ROUNDING = 0.005
 """Half a unit of the last digit that the papers print, and the share by which values count as equal."""
 
@@ -106,20 +106,8 @@ def median_interval(values: Sequence[float], seed: int = 0) -> tuple[float, floa
         values: One value per seed.
         seed: Seed of the resampling.
     """
-    from scipy.stats import bootstrap
-
-    found = np.asarray(values, np.float64)
-    if found.size < 2 or np.ptp(found) == 0.0:
-        return float(found.min()), float(found.max())
-    interval = bootstrap(
-        (found,),
-        np.median,
-        n_resamples=RESAMPLES,
-        confidence_level=CONFIDENCE,
-        method="percentile",
-        rng=np.random.default_rng(seed),
-    ).confidence_interval
-    return float(interval.low), float(interval.high)
+    found = bootstrap(np.asarray(values, np.float64), np.median, seed)
+    return found.low, found.high
 
 
 def difference_p(ours: Sequence[float], other: Sequence[float]) -> float | None:
