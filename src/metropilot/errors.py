@@ -49,14 +49,14 @@ class InputError(MetropilotError, ValueError):
         self.allowed = allowed
         super().__init__(self.line())
 
-    def at(self, *, file: object = None, field: str | None = None, unit: str | None = None) -> InputError:
-        """The same complaint with another file, field or unit; what is None stays."""
+    def at(self, *, file: object = None, field: str | None = None) -> InputError:
+        """The same complaint with another file or field; what is None stays."""
         return type(self)(
             self.message,
             file=self.file if file is None else file,
             field=self.field if field is None else field,
             value=self.value,
-            unit=self.unit if unit is None else unit,
+            unit=self.unit,
             allowed=self.allowed,
         )
 

@@ -140,17 +140,17 @@ class StopCurve(NamedTuple):
     end_mps2: Scalar
 
 
-def weakest_gradient(model: Model, target_m: float, stretch_m: float = 400.0) -> float:
+def weakest_gradient(model: Model, target_m: float) -> float:
     """Least mean gradient on the way to a stop, as an acceleration (negative downhill), m/s^2.
 
-    Braking is an exchange of energy, so the mean from the braking point to the stop counts.
+    Braking is an exchange of energy, so the mean from the braking point to the stop counts; it begins at most
+    400 m before.
 
     Args:
         model: Nominal trainset and section.
         target_m: Position of the stop.
-        stretch_m: Largest distance before the stop at which braking may begin.
     """
-    at = np.linspace(target_m, target_m - stretch_m, 41)
+    at = np.linspace(target_m, target_m - 400.0, 41)
     forces = [float(resistance_and_gradient(model.vehicle, model.track, x, np.float64(0.0))[1]) for x in at]
     means = np.cumsum(forces) / np.arange(1, at.size + 1)
     # means over at least 50 m: no stop begins to brake nearer to the target
@@ -187,9 +187,7 @@ def mean_braking_efforts(
     return np.where(least > 0.0, least * (np.arange(points, 0, -1) / np.maximum(ways, 1e-9)), least)
 
 
-def comfortable_deceleration(
-    model: Model, estimate: StateEstimate, gradient_mps2: float, use: float = SERVICE_USE
-) -> float:
+def comfortable_deceleration(model: Model, estimate: StateEstimate, gradient_mps2: float) -> float:
     """Deceleration for planning a stop: the surely available one, at most the trainset's limit, m/s^2.
 
     Args:
@@ -197,13 +195,12 @@ def comfortable_deceleration(
         estimate: State and plant as estimated; the gain of the brake counts less 1.5 standard deviations,
             and at most 1.
         gradient_mps2: Mean gradient from :func:`weakest_gradient`.
-        use: Share of the available deceleration to plan with.
     """
     vehicle = model.vehicle
     mass = float(vehicle.effective_mass_kg)
     sure = min(estimate.brake_gain - 1.5 * estimate.brake_gain_sigma, 1.0)
     effort = mean_braking_efforts(vehicle, estimate.speed_mps, sure, gradient_mps2 * mass)
-    return max(use * min(float(effort[0]) / mass, float(vehicle.max_deceleration_mps2)), 0.2)
+    return max(SERVICE_USE * min(float(effort[0]) / mass, float(vehicle.max_deceleration_mps2)), 0.2)
 
 
 def curve_for(

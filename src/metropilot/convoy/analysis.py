@@ -110,6 +110,8 @@ class StringGains(NamedTuple):
         return speed, gap
 
 
+MEAN_MPS, SWING_MPS2 = 12.0, 0.15
+"""Mean speed of the head, and the amplitude of its acceleration."""
 BEYOND_S = 60.0
 """Time for which a plan goes on after the motion that is measured."""
 
@@ -120,8 +122,6 @@ def string_gains(
     periods_s: Sequence[float],
     *,
     planned: bool = True,
-    mean_mps: float = 12.0,
-    swing_mps2: float = 0.15,
 ) -> StringGains:
     """Measure how a convoy amplifies the motion of its head, which accelerates as a sine.
 
@@ -134,8 +134,6 @@ def string_gains(
         periods_s: Periods of the sine.
         planned: True if the head announces the mean speed as its plan, from which the sine departs; else it
             announces nothing.
-        mean_mps: Mean speed.
-        swing_mps2: Amplitude of the acceleration of the head.
     """
     level = replace(
         convoy.section,
@@ -146,42 +144,33 @@ def string_gains(
         tunnels=(),
     )
     flat = replace(convoy, section=level)
-    swing = _Swing(planned, mean_mps, swing_mps2)
-    found = [_amplitudes(flat, follower, each, swing) for each in periods_s]
+    found = [_amplitudes(flat, follower, each, planned=planned) for each in periods_s]
     speed, gap = (np.array(each) for each in zip(*found, strict=True))
     return StringGains(speed / speed[:, :1], gap / gap[:, :1])
 
 
-class _Swing(NamedTuple):
-    """Motion of the head, as :func:`string_gains` has it."""
-
-    planned: bool
-    mean_mps: float
-    swing_mps2: float
-
-
 def _amplitudes(
-    convoy: Convoy, follower: AbstractFollower, period_s: float, about: _Swing
+    convoy: Convoy, follower: AbstractFollower, period_s: float, *, planned: bool
 ) -> tuple[ndarray, ndarray]:
     """Amplitudes of speeds and gaps at one period."""
-    dt, mean_mps = convoy.dt, about.mean_mps
+    dt = convoy.dt
     count = max(int(np.ceil(40.0 / period_s)), 2)
     times = dt * np.arange(1, int((SETTLE_S + count * period_s) / dt) + 1)
-    swing = about.swing_mps2 * period_s / (2.0 * np.pi)
+    swing = SWING_MPS2 * period_s / (2.0 * np.pi)
     begun = times > SETTLE_S - 2.0 * period_s if period_s < 20.0 else times > 35.0
-    rising = np.minimum(RISE_MPS2 * times, mean_mps)
+    rising = np.minimum(RISE_MPS2 * times, MEAN_MPS)
     phase = 2.0 * np.pi * (times - SETTLE_S) / period_s
     speeds = rising + np.where(begun, swing * np.sin(phase), 0.0)
     commands = record_leader(*convoy.leader(), np.maximum(speeds, 0.0), dt).command
     # The plan goes on beyond the run: its end is a stop, for which the followers would brake.
-    planned = np.concatenate([[0.0], rising, np.full(round(BEYOND_S / dt), mean_mps)])
-    way = np.concatenate([[0.0], np.cumsum(0.5 * dt * (planned[1:] + planned[:-1]))])
-    plan = MotionPlan(np.float64(0.0), np.float64(dt), way, planned) if about.planned else None
+    told = np.concatenate([[0.0], rising, np.full(round(BEYOND_S / dt), MEAN_MPS)])
+    way = np.concatenate([[0.0], np.cumsum(0.5 * dt * (told[1:] + told[:-1]))])
+    plan = MotionPlan(np.float64(0.0), np.float64(dt), way, told) if planned else None
     drive = drive_convoy(convoy, HeadRun("sine", commands, Outcome.OUT_OF_TIME, plan=plan), follower)
     whole = round(count * period_s / dt)
     rows = slice(times.size - whole, times.size)
     wave = np.exp(-1j * phase[rows])
-    speeds = [t.speed_mps[1:][rows] - mean_mps for t in drive.trajectories]
+    speeds = [t.speed_mps[1:][rows] - MEAN_MPS for t in drive.trajectories]
     # gaps have no row at departure
     gaps = (drive.gap_m[rows] - drive.gap_m[rows].mean(axis=0)).T
     speed, gap = (np.array([abs(np.mean(each * wave)) for each in found]) for found in (speeds, gaps))

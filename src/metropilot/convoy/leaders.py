@@ -81,9 +81,9 @@ def record_leader(section: Section, trainset: Trainset, speeds_mps: ndarray, dt:
     return Recording(*np.array(rows).T)
 
 
-def reference_speeds(reference: Reference, dt: float, after_s: float = 5.0) -> ndarray:
-    """Speeds of a reference at the end of each period, followed by standstill."""
-    count = int(np.ceil((reference.duration_s + after_s) / dt))
+def reference_speeds(reference: Reference, dt: float) -> ndarray:
+    """Speeds of a reference at the end of each period, followed by five seconds of standstill."""
+    count = int(np.ceil((reference.duration_s + 5.0) / dt))
     return reference.at(dt * np.arange(1, count + 1))[1]
 
 

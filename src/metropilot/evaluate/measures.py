@@ -25,15 +25,15 @@ def command_variation(trajectory: Trajectory) -> float:
     return float(np.abs(np.diff(trajectory.command[:-1], prepend=0.0, append=0.0)).sum())
 
 
-def window_jerk(trajectory: Trajectory, window_s: float = CHENG2023_WINDOW_S) -> float:
-    """The largest change of acceleration between two moments at most ``window_s`` apart.
+def window_jerk(trajectory: Trajectory) -> float:
+    """The largest change of acceleration between two moments at most two seconds apart.
 
     Source: Cheng23, text on Table 1: "the maximum acceleration rate over the time span of 2 s". It is a
     change over a window and no derivative, though the paper prints it in m/s^3.
     """
     time, accel = trajectory.time_s, trajectory.acceleration_mps2
     # The margin keeps the row exactly one window later, whose time is rounded.
-    last = np.searchsorted(time, time + window_s + 1e-9, side="right")
+    last = np.searchsorted(time, time + CHENG2023_WINDOW_S + 1e-9, side="right")
     windows = np.stack([np.arange(time.size), last], axis=1).ravel()
     # ``reduceat`` takes no index beyond the end; every second result is that of a gap between windows.
     closed = np.append(accel, accel[-1:])

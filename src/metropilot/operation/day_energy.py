@@ -234,7 +234,6 @@ def timetable_energy(
     timetable: DayTimetable,
     name: str,
     *,
-    longest_wait_s: int = LONGEST_WAIT_S,
     scatter: ServiceScatter = AS_PLANNED,
 ) -> DayEnergy:
     """Compute the energy of a day whose timetable is given, and its floor at these running times.
@@ -243,7 +242,6 @@ def timetable_energy(
         operation: Line in operation.
         timetable: Timetable.
         name: Name of the day.
-        longest_wait_s: A train that would wait longer at a terminal station goes to the depot.
         scatter: What does not go as planned, reported besides.
 
     Raises:
@@ -262,7 +260,7 @@ def timetable_energy(
     return DayEnergy(
         name=name,
         day=found,
-        links=link_trains(timetable, operation.options.turnround_s, longest_wait_s),
+        links=link_trains(timetable, operation.options.turnround_s, LONGEST_WAIT_S),
         power=power,
         balance=balance,
         searched=False,

@@ -460,9 +460,9 @@ class LineOperation:
             through=1.0 - self.options.transfer_loss,
         )
 
-    def mean_energy_j(self, profiles: Profiles, phases: int = 60) -> float:
+    def mean_energy_j(self, profiles: Profiles) -> float:
         """Mean energy of the plain timetable over the offset between the directions."""
-        offsets = self.options.headway_s * (np.arange(phases) + 0.5) / phases
+        offsets = self.options.headway_s * (np.arange(60) + 0.5) / 60
         return float(
             np.mean([self.energy(self.plain_timetable(each), profiles).supplied_j for each in offsets])
         )

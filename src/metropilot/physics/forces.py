@@ -96,16 +96,18 @@ class BrakingBands(NamedTuple):
         return self.rates_mps2[min(int(speed_mps * self.per_mps), len(self.rates_mps2) - 1)]
 
 
-def braking_bands(vehicle: Vehicle, count: int = 64) -> BrakingBands:
+BANDS = 64
+
+
+def braking_bands(vehicle: Vehicle) -> BrakingBands:
     """Full service braking over speed, for curves that are laid backward: many brakes fade at high speed.
 
     Args:
         vehicle: Nominal plant (NumPy).
-        count: Number of bands.
     """
-    speeds = np.linspace(0.0, float(vehicle.max_speed_mps), count + 1)
+    speeds = np.linspace(0.0, float(vehicle.max_speed_mps), BANDS + 1)
     rates = effort_at(vehicle, speeds).brake_n / float(vehicle.effective_mass_kg)
-    return BrakingBands(np.minimum(rates[1:], rates[:-1]).tolist(), count / float(speeds[-1]))
+    return BrakingBands(np.minimum(rates[1:], rates[:-1]).tolist(), BANDS / float(speeds[-1]))
 
 
 def traction_available_n(vehicle: Vehicle, speed_mps: Scalar) -> Scalar:

@@ -64,14 +64,13 @@ class Bodies(NamedTuple):
     coupler_n: Float[Array, " couplers"]
 
 
-def consist(trainset: Trainset, *, motors: Sequence[int] | None = None, dtype: type = np.float64) -> Consist:
+def consist(trainset: Trainset, *, motors: Sequence[int] | None = None) -> Consist:
     """The trainset cut into equal vehicles as its couplers say.
 
     Args:
         trainset: Trainset with its load; mass, length and Davis resistance are shared evenly.
         motors: Vehicles that carry the traction, counted from the head; None spreads it over all (as Huang25
             does). Brakes act on every vehicle.
-        dtype: Number type.
 
     Raises:
         InputError: A motor car the trainset does not have.
@@ -81,9 +80,9 @@ def consist(trainset: Trainset, *, motors: Sequence[int] | None = None, dtype: t
     motors = range(count) if motors is None else motors
     if not len(motors) or not all(0 <= k < count for k in motors):
         raise InputError("no such vehicle", field="motors", value=list(motors), allowed=f"0 to {count - 1}")
-    whole = vehicle_arrays(trainset, dtype)
-    shares = np.full(count, 1.0 / count, dtype)
-    traction = np.zeros(count, dtype)
+    whole = vehicle_arrays(trainset)
+    shares = np.full(count, 1.0 / count)
+    traction = np.zeros(count)
     traction[list(motors)] = 1.0 / len(motors)
     vehicles = whole._replace(
         mass_kg=whole.mass_kg * shares,
@@ -91,16 +90,16 @@ def consist(trainset: Trainset, *, motors: Sequence[int] | None = None, dtype: t
         length_m=whole.length_m * shares,
         davis_n=whole.davis_n[:, None] * shares,
     )
-    stiffness = np.full(count - 1, couplers.stiffness_n_per_m, dtype)
-    damping = np.full(count - 1, couplers.damping_n_s_per_m, dtype)
+    stiffness = np.full(count - 1, couplers.stiffness_n_per_m)
+    damping = np.full(count - 1, couplers.damping_n_s_per_m)
     return Consist(vehicles, traction, shares, stiffness, damping)
 
 
-def bodies_at(consist: Consist, position_m: float = 0.0, speed_mps: float = 0.0) -> Bodies:
-    """All vehicles at one speed, couplers at rest (NumPy)."""
+def bodies_at(consist: Consist) -> Bodies:
+    """All vehicles at rest at the origin, and so the couplers (NumPy)."""
     mass = np.asarray(consist.vehicles.mass_kg)
     loose = np.zeros(mass.size - 1, mass.dtype)
-    return Bodies(mass.dtype.type(position_m), loose, np.full_like(mass, speed_mps), loose)
+    return Bodies(mass.dtype.type(0.0), loose, np.zeros_like(mass), loose)
 
 
 def heads_m(consist: Consist, bodies: Bodies) -> Float[Array, " vehicles"]:

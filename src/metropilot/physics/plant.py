@@ -72,7 +72,6 @@ def at_rest(
     delay_steps: int = 0,
     position_m: float = 0.0,
     speed_mps: float = 0.0,
-    time_s: float = 0.0,
 ) -> State:
     """A state with nothing on its way through the actuation (NumPy; move it to JAX with ``jnp.asarray``).
 
@@ -81,12 +80,11 @@ def at_rest(
         delay_steps: Steps of dead time the pipeline must hold; see :func:`delay_steps`.
         position_m: Position of the head.
         speed_mps: Speed.
-        time_s: Time.
     """
     dtype = np.asarray(vehicle.mass_kg).dtype
     zero = dtype.type(0.0)
     return State(
-        time_s=dtype.type(time_s),
+        time_s=zero,
         position_m=dtype.type(position_m),
         speed_mps=dtype.type(speed_mps),
         acceleration_mps2=zero,

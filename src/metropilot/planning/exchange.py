@@ -65,7 +65,6 @@ class ExchangeTrip:
         track: Section.
         time_s: Planned running time.
         changes_s: Changes of it that a timetable may make, increasing.
-        group_s: Time in which the plan passes a group of segments, about.
 
     Attributes:
         time_s: Planned running time.
@@ -75,12 +74,7 @@ class ExchangeTrip:
     """
 
     def __init__(
-        self,
-        vehicle: Vehicle,
-        track: Track,
-        time_s: float,
-        changes_s: Sequence[int] = (0,),
-        group_s: float = 5.0,
+        self, vehicle: Vehicle, track: Track, time_s: float, changes_s: Sequence[int] = (0,)
     ) -> None:
         energy = ReceivedEnergy(vehicle, track, time_s)
         self.time_s = time_s
@@ -100,7 +94,7 @@ class ExchangeTrip:
         self._probed = self._nodes_every(PROBED_S)
         self._early = [self._probes(0, node) for node in self._probed.tolist()]
         self._late = [self._probes(node, count) for node in self._probed.tolist()]
-        self.divide(group_s)
+        self.divide(5.0)
 
     def regroup(self, group_s: float) -> ExchangeTrip:
         """The same in other groups."""

@@ -234,7 +234,7 @@ def interpolate_time_to_go(
     return low * (1.0 - u) + high * u
 
 
-def tabulate_time_to_go(vehicle: Vehicle, track: Track, *, rows: int = TO_GO_ROWS) -> TimeToGo:
+def tabulate_time_to_go(vehicle: Vehicle, track: Track) -> TimeToGo:
     """Flat-out time to the stop from every state of a grid.
 
     Backward over a mesh: from each speed full traction to the next node, at most up to the curve of limits
@@ -244,7 +244,6 @@ def tabulate_time_to_go(vehicle: Vehicle, track: Track, *, rows: int = TO_GO_ROW
     Args:
         vehicle: Trainset.
         track: Section.
-        rows: Rows of the table.
     """
     table = specific(vehicle)
     mesh = build_mesh(vehicle, track, np.array([0.0, float(track.length_m)]), TO_GO_SPACING_M)
@@ -264,7 +263,7 @@ def tabulate_time_to_go(vehicle: Vehicle, track: Track, *, rows: int = TO_GO_ROW
         time[k] = 2.0 * ds / np.maximum(now + after, 0.3 * np.sqrt(ds)) + later
     # rows even in the square root of the distance left
     left = np.sqrt(mesh.node_m[-1] - mesh.node_m[::-1])
-    at = left[-1] * np.linspace(0.0, 1.0, rows)
+    at = left[-1] * np.linspace(0.0, 1.0, TO_GO_ROWS)
     k = np.clip(np.searchsorted(left, at, side="right") - 1, 0, left.size - 2)
     way = ((at - left[k]) / (left[k + 1] - left[k]))[:, None]
     found = np.column_stack([time[:, ::TO_GO_FINER], top])[::-1]

@@ -17,8 +17,8 @@ NEAREST_M = 2.5
 JUMP_MPS = 0.3
 BEND_MPS2 = 0.2
 """A cap whose slope rises by more than this has a node there: between nodes the plan runs along the chord."""
-END_NODES = 9
-END_STRETCH_M = 12.0
+END_SPACING_M = 12.0 * (np.arange(1, 10) / 9) ** 2.5
+"""Distances from a stop at which nodes lie: dense at the stop, where speed grows as its square root."""
 
 
 class Coupled(NamedTuple):
@@ -102,11 +102,6 @@ def limit_at(track: Track, position_m: Float[ndarray, "..."]) -> Float[ndarray, 
     return track.limit_mps[k]
 
 
-def end_spacing(stretch_m: float = END_STRETCH_M, nodes: int = END_NODES) -> ndarray:
-    """Distances from a stop at which nodes lie: dense at the stop, where speed grows as its square root."""
-    return stretch_m * (np.arange(1, nodes + 1) / nodes) ** 2.5
-
-
 def build_mesh(
     vehicle: Vehicle,
     track: Track,
@@ -137,7 +132,7 @@ def build_mesh(
         jumps = np.concatenate([cap_at_m[leaps], cap_at_m[leaps + 1], cap_at_m[bends]])
     needed = np.concatenate([stops_m, limits, jumps])
     needed = np.unique(needed[(needed >= first) & (needed <= last)])
-    near = np.concatenate([np.concatenate([s + end_spacing(), s - end_spacing()]) for s in stops_m])
+    near = np.concatenate([np.concatenate([s + END_SPACING_M, s - END_SPACING_M]) for s in stops_m])
     breaks = np.concatenate([_slope_changes(*each) for each in tracks])
     nodes = _merge(needed, near, gap=0.01)
     nodes = _merge(nodes, breaks, gap=NEAREST_M)

@@ -15,7 +15,7 @@ from metropilot._dirs import cache_folder
 from metropilot._tensors import read_tensors, write_tensors
 from metropilot._typing import Float, Int
 from metropilot.errors import InputError
-from metropilot.planning.optimal import PlanOptions, minimum_running_time, time_energy_front
+from metropilot.planning.optimal import minimum_running_time, time_energy_front
 from metropilot.railway import Section, Trainset
 
 VERSION = 1
@@ -58,22 +58,17 @@ class Optima:
         return found
 
 
-def optima_of(
-    cases: Sequence[tuple[Section, Trainset]],
-    ratios: Sequence[float] = RATIOS,
-    options: PlanOptions | None = None,
-) -> Optima:
+def optima_of(cases: Sequence[tuple[Section, Trainset]], ratios: Sequence[float] = RATIOS) -> Optima:
     """Solve every case at several running times (half a second a case).
 
     Args:
         cases: A task's ``config.cases``.
         ratios: Running times over the minimum of the case, increasing.
-        options: See :class:`metropilot.planning.PlanOptions`.
     """
     fronts = []
     for section, trainset in cases:
         minimum = minimum_running_time(section, trainset)
-        fronts.append(time_energy_front(section, trainset, [minimum * ratio for ratio in ratios], options))
+        fronts.append(time_energy_front(section, trainset, [minimum * ratio for ratio in ratios]))
     return Optima(
         time_s=np.stack([front.time_s for front in fronts]),
         energy_j=np.stack([np.minimum.accumulate(front.energy_j) for front in fronts]),

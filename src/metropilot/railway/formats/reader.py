@@ -179,9 +179,7 @@ class Node:
         """Allow ``units`` to name quantities that the table then does not give."""
         self._read |= {f"units.{name}" for name in names}
 
-    def quantity(
-        self, key: str, kind: str, bounds: Range = ANY, default: float | None = None, *, unit_name: str = ""
-    ) -> float:
+    def quantity(self, key: str, kind: str, bounds: Range = ANY, default: float | None = None) -> float:
         """A number with a unit, in SI.
 
         Args:
@@ -189,13 +187,12 @@ class Node:
             kind: The quantity its unit measures.
             bounds: The range, in SI.
             default: Value where the key is missing; ``None``: it must be there.
-            unit_name: Entry of ``units`` that gives the unit, where it is not the key itself.
         """
         value = self.get(key)
-        self.may_have_units(unit_name or key)
+        self.may_have_units(key)
         if value is None and default is not None:
             return default
-        of = self.unit(unit_name or key, kind)
+        of = self.unit(key, kind)
         self.require(key, bounds.describe(of))
         return self.number(value, key, of, bounds)
 
@@ -227,14 +224,12 @@ class Node:
             allowed=bounds.describe(of),
         )
 
-    def quantities(
-        self, key: str, kind: str, bounds: Range = ANY, *, unit_name: str = ""
-    ) -> tuple[float, ...]:
+    def quantities(self, key: str, kind: str, bounds: Range = ANY) -> tuple[float, ...]:
         """A list of numbers with one unit, in SI; empty where the key is missing."""
-        self.may_have_units(unit_name or key)
+        self.may_have_units(key)
         if self.get(key) is None:
             return ()
-        of = self.unit(unit_name or key, kind)
+        of = self.unit(key, kind)
         return tuple(self.number(v, f"{key}[{i}]", of, bounds) for i, v in enumerate(self.items(key)))
 
     def rows(self, key: str, columns: Sequence[Column]) -> Float[ndarray, "rows columns"]:

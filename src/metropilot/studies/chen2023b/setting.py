@@ -49,7 +49,7 @@ def pair(count: int = 2, *, rough: bool = False, guard: ConvoyGuard = "coupled")
 
 
 @lru_cache
-def head_run(count: int = 2, emergency_s: float = float("inf")) -> HeadRun:
+def head_run(count: int = 2) -> HeadRun:
     """Run of the head on its S-curve; slower where the speed limit of a long convoy requires it."""
     convoy = pair(count)
     section, trainset = convoy.leader()
@@ -57,7 +57,7 @@ def head_run(count: int = 2, emergency_s: float = float("inf")) -> HeadRun:
     time_s = max(TIME_S, SHAPE.time_s(section.length_m, fastest) + 0.5)
     reference = reference_for_time(section.length_m, time_s, SHAPE, fastest)
     commands = record_leader(section, trainset, reference_speeds(reference, convoy.dt), convoy.dt).command
-    return HeadRun("S-curve", commands, Outcome.ARRIVED, emergency_s)
+    return HeadRun("S-curve", commands, Outcome.ARRIVED)
 
 
 FIGURES = "Figs. 7 to 9"

@@ -146,7 +146,6 @@ def fuzzy_gains(
     change_mps: Array,
     universes: Universes = ASSUMED_UNIVERSES,
     base: Gains = CHENG2023_GAINS,
-    upper: Gains = CHENG2023_UPPER,
 ) -> Gains:
     """The gains for a speed error and its change over the last period.
 
@@ -155,12 +154,11 @@ def fuzzy_gains(
         change_mps: Its change over the last period.
         universes: Half-widths of the universes.
         base: Gains that the rules move.
-        upper: Upper limits of the gains; the lower are 0.
     """
     moved = infer(3.0 * error_mps / universes.error_mps, 3.0 * change_mps / universes.change_mps)
     xp = array_namespace(moved)
     spans = universes[2:]
-    return Gains(*(xp.clip(base[k] + moved[k] / 3.0 * spans[k], 0.0, upper[k]) for k in range(3)))
+    return Gains(*(xp.clip(base[k] + moved[k] / 3.0 * spans[k], 0.0, CHENG2023_UPPER[k]) for k in range(3)))
 
 
 def step_fuzzy_pid(

@@ -40,21 +40,20 @@ class TrackingLaw(NamedTuple):
         return self.step(policy(self.observe(seen, errors)), seen, errors)
 
 
-def gains_of(action: Float[Array, "3"], upper: Gains = CHENG2023_UPPER) -> Gains:
+def gains_of(action: Float[Array, "3"]) -> Gains:
     """Gains of an action of three numbers in [-1, 1] (Cheng23 eq. 10)."""
-    return Gains(*(0.5 * (action[j] + 1.0) * upper[j] for j in range(3)))
+    return Gains(*(0.5 * (action[j] + 1.0) * CHENG2023_UPPER[j] for j in range(3)))
 
 
-def gains_law(upper: Gains = CHENG2023_UPPER, scale: ObservationScale = SCALE) -> TrackingLaw:
+def gains_law(scale: ObservationScale = SCALE) -> TrackingLaw:
     """The paper's law: the policy sets three gains (Cheng23 eqs. 7, 10, 15 and 16).
 
     Args:
-        upper: Upper limits of the gains (eq. 10).
         scale: Scale of the observation.
     """
 
     def step(action: Array, seen: TrackingView, errors: Errors) -> tuple[Array, Errors]:
-        return incremental_pid(seen.command, gains_of(action, upper), seen.error_mps, errors)
+        return incremental_pid(seen.command, gains_of(action), seen.error_mps, errors)
 
     observed = ("speed", "command", "speed_error", "position_error")
     return TrackingLaw(observed, 3, lambda seen, _: tracking_observation(seen, scale), step)

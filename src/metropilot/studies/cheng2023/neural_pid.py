@@ -75,19 +75,18 @@ class Network(NamedTuple):
     errors: Errors
 
 
-def fresh_network(seed: int, base: Gains = CHENG2023_GAINS, upper: Gains = CHENG2023_UPPER) -> Network:
+def fresh_network(seed: int, base: Gains = CHENG2023_GAINS) -> Network:
     """A network whose gains begin near given ones: small random weights, biases that give those gains.
 
     Args:
         seed: Of the random weights.
         base: Gains at first.
-        upper: Upper limits of the gains.
     """
     random = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(2,)))
     inner = random.uniform(-0.5, 0.5, (HIDDEN, 4))
     small = random.uniform(-0.1, 0.1, (3, HIDDEN))
     xp = array_namespace(base[0])
-    share = xp.clip(xp.stack([xp.asarray(base[k] / upper[k]) for k in range(3)]), 1e-3, 1.0 - 1e-3)
+    share = xp.clip(xp.stack([xp.asarray(base[k] / CHENG2023_UPPER[k]) for k in range(3)]), 1e-3, 1.0 - 1e-3)
     outer = xp.concatenate([small, xp.log(share / (1.0 - share))[:, None]], axis=1)
     nothing = np.zeros(3), np.zeros(HIDDEN + 1), np.zeros(4)
     zero = np.float64(0.0)
@@ -97,10 +96,7 @@ def fresh_network(seed: int, base: Gains = CHENG2023_GAINS, upper: Gains = CHENG
 
 
 def step_neural_pid(
-    network: Network,
-    seen: TrackingView,
-    rates: LearningRates = TEXTBOOK_RATES,
-    upper: Gains = CHENG2023_UPPER,
+    network: Network, seen: TrackingView, rates: LearningRates = TEXTBOOK_RATES
 ) -> tuple[Array, Network]:
     """One period: learn from the error that the last command led to, set the gains, apply the law.
 
@@ -108,7 +104,6 @@ def step_neural_pid(
         network: The controller's memory.
         seen: Controller inputs: errors, speed and last command.
         rates: Learning rates.
-        upper: Upper limits of the gains.
 
     Returns:
         The command in [-1, 1] and the next memory.
@@ -132,7 +127,7 @@ def step_neural_pid(
     inputs = xp.stack([xp.asarray(part) for part in parts])
     hidden = xp.concatenate([xp.tanh(inner @ inputs), xp.asarray(one)[None]])
     share = 0.5 * (1.0 + xp.tanh(0.5 * (outer @ hidden)))  # the sigmoid, without overflow
-    limits = xp.asarray(upper)
+    limits = xp.asarray(CHENG2023_UPPER)
     gains = Gains(*(share[k] * limits[k] for k in range(3)))
     command, after = incremental_pid(seen.command, gains, error, errors)
     acts = xp.stack([error - errors.last, error, error - 2.0 * errors.last + errors.before])

@@ -79,11 +79,7 @@ def step_fed_pid(
 
 
 def step_corrected_pid(
-    action: Float[Array, "5"],
-    placed: PlacedGains,
-    seen: TrackingView,
-    errors: Errors,
-    upper: Gains = CHENG2023_UPPER,
+    action: Float[Array, "5"], placed: PlacedGains, seen: TrackingView, errors: Errors
 ) -> tuple[Any, Errors]:
     """One period of the law under the corrections of an action of five numbers in [-1, 1].
 
@@ -92,13 +88,12 @@ def step_corrected_pid(
         placed: Gains of the action of zeros.
         seen: Controller inputs.
         errors: Errors of the two periods before.
-        upper: Upper limits of the gains.
     """
     xp = array_namespace(action)
     near = xp.maximum(1.0 - xp.abs(seen.error_mps) / NEAR_MPS, 0.0)
     action = action * near * xp.clip((1.0 - xp.abs(seen.command)) / SPARE, 0.0, 1.0)
     factors = 2.0 ** (OCTAVES * action[:4])
-    gains = Gains(*(xp.minimum(factors[j] * placed.gains[j], upper[j]) for j in range(3)))
+    gains = Gains(*(xp.minimum(factors[j] * placed.gains[j], CHENG2023_UPPER[j]) for j in range(3)))
     corrected = PlacedGains(gains, factors[3] * placed.position_per_s)
     return step_fed_pid(corrected, seen, errors, ADDED * action[4])
 

@@ -105,19 +105,17 @@ class Stops(NamedTuple):
     interventions: int
 
 
-def repeat_stops(gain: float, noise_mps: float = NOISE_MPS, stops: int = STOPS) -> Stops:
+def repeat_stops(gain: float) -> Stops:
     """Drive case 1 repeatedly; the estimate of the brake is carried from stop to stop.
 
     Args:
         gain: Ratio of true to nominal braking force.
-        noise_mps: Standard deviation of the measured speed.
-        stops: Number of stops.
     """
     driver, hoa = Eitoe(EitoeOptions(brake_known=False)), None
     errors, learned, times, overruled = [], [], [], 0
-    for seed in range(stops):
+    for seed in range(STOPS):
         run = run_of(BY_ID["101"], seed)
-        disturbance = replace(run.disturbance, brake_factor=gain, speed_noise_mps=noise_mps)
+        disturbance = replace(run.disturbance, brake_factor=gain, speed_noise_mps=NOISE_MPS)
         rollout = Rollout(replace(run, disturbance=disturbance), driver)
         if hoa is not None:
             rollout.memory = rollout.memory._replace(hoa=hoa)

@@ -131,12 +131,12 @@ def shipped_policy_of(plan_id: str) -> Path:
     return own if own.is_file() else shipped_policy("improved_dqn")
 
 
-def switches_over(found: Drive, span_m: float = SPAN_M) -> float:
-    """Largest number of changes between traction, coasting and braking within ``span_m`` (Lu23 Fig. 9)."""
+def switches_over(found: Drive) -> float:
+    """Largest number of changes between traction, coasting and braking within ``SPAN_M`` (Lu23 Fig. 9)."""
     t = found.trajectory
     sign = np.sign(np.round(t.traction_n - t.electric_brake_n - t.friction_brake_n, 0))[:-1]
     at = t.position_m[1:-1][sign[1:] != sign[:-1]]
-    return float(max(((at >= x) & (at <= x + span_m)).sum() for x in at)) if at.size else 0.0
+    return float(max(((at >= x) & (at <= x + SPAN_M)).sum() for x in at)) if at.size else 0.0
 
 
 def command_changes(found: Drive) -> float:
