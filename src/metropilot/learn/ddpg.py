@@ -16,7 +16,7 @@ from metropilot.env import AbstractTask
 from metropilot.learn.config import DDPGConfig
 from metropilot.learn.learner import needs_continuous
 from metropilot.learn.losses import ddpg as losses
-from metropilot.learn.off_policy import AbstractReplayLearner, Batch, Networks
+from metropilot.learn.off_policy import AbstractReplayLearner, Batch, Exploration, Networks
 from metropilot.learn.optimiser import AdamState, adam_init, adam_step, polyak
 from metropilot.learn.schedules import value_at
 from metropilot.policy import Params
@@ -85,23 +85,15 @@ class DDPG(AbstractReplayLearner[DDPGConfig]):
         noise = jnp.clip(jax.random.normal(key, action.shape), -SMOOTHING_ENDS, SMOOTHING_ENDS)
         return jnp.clip(action + deviation * noise, -1.0, 1.0)
 
-    def explore(
-        self,
-        params: Params,
-        observation: Array,
-        mask: Array | None,
-        noise: Array,
-        key: Array,
-        progress: Array,
-    ) -> tuple[Array, Array]:
+    def explore(self, params: Params, now: Exploration) -> tuple[Array, Array]:
         """The actor's action plus noise."""
-        del mask
-        draw = value_at(self.config.noise, progress) * jax.random.normal(key, noise.shape, noise.dtype)
+        noise, size = now.noise, value_at(self.config.noise, now.progress)
+        draw = size * jax.random.normal(now.key, noise.shape, noise.dtype)
         if self.config.noise_kind == "ornstein_uhlenbeck":
             noise = noise * (1.0 - self.config.noise_pull) + draw
         else:
             noise = draw
-        return jnp.clip(self.actions_of(params, observation) + noise, -1.0, 1.0), noise
+        return jnp.clip(self.actions_of(params, now.observation) + noise, -1.0, 1.0), noise
 
     def improve(
         self, networks: Networks, batch: Batch, key: Array, progress: Array

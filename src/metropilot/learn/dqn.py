@@ -17,7 +17,7 @@ from metropilot.learn.environments import random_choices
 from metropilot.learn.learner import needs_choices
 from metropilot.learn.losses import dqn as losses
 from metropilot.learn.networks import MLP, mask_values
-from metropilot.learn.off_policy import AbstractReplayLearner, Batch, Networks
+from metropilot.learn.off_policy import AbstractReplayLearner, Batch, Exploration, Networks
 from metropilot.learn.optimiser import adam_init, adam_step, polyak
 from metropilot.learn.schedules import value_at
 from metropilot.policy import Params, network_output
@@ -56,22 +56,14 @@ class DQN(AbstractReplayLearner[DQNConfig]):
         """Action values of a batch of normalised observations. Shape (B, count)."""
         return jax.vmap(lambda x: network_output(self.spec, params, x, jnp))(observation)
 
-    def explore(
-        self,
-        params: Params,
-        observation: Array,
-        mask: Array | None,
-        noise: Array,
-        key: Array,
-        progress: Array,
-    ) -> tuple[Array, Array]:
+    def explore(self, params: Params, now: Exploration) -> tuple[Array, Array]:
         """Epsilon-greedy among the allowed choices."""
-        coin_key, choice_key = jax.random.split(key)
-        values = self.values(params, observation)
-        best = jnp.argmax(mask_values(values, mask), axis=-1).astype(jnp.int32)
-        epsilon = value_at(self.config.epsilon, progress)
+        coin_key, choice_key = jax.random.split(now.key)
+        values = self.values(params, now.observation)
+        best = jnp.argmax(mask_values(values, now.mask), axis=-1).astype(jnp.int32)
+        epsilon = value_at(self.config.epsilon, now.progress)
         curious = jax.random.uniform(coin_key, best.shape, jnp.float32) < epsilon
-        return jnp.where(curious, random_choices(choice_key, values.shape, mask), best), noise
+        return jnp.where(curious, random_choices(choice_key, values.shape, now.mask), best), now.noise
 
     def improve(
         self, networks: Networks, batch: Batch, key: Array, progress: Array

@@ -16,7 +16,7 @@ from metropilot.learn.config import NAFConfig
 from metropilot.learn.learner import needs_continuous
 from metropilot.learn.losses import naf as losses
 from metropilot.learn.networks import lower_triangle
-from metropilot.learn.off_policy import AbstractReplayLearner, Batch, Networks
+from metropilot.learn.off_policy import AbstractReplayLearner, Batch, Exploration, Networks
 from metropilot.learn.optimiser import adam_init, adam_step, polyak
 from metropilot.learn.schedules import value_at
 from metropilot.policy import Params
@@ -64,20 +64,11 @@ class NAF(AbstractReplayLearner[NAFConfig]):
 
         return jax.vmap(one)(observation, action)
 
-    def explore(
-        self,
-        params: Params,
-        observation: Array,
-        mask: Array | None,
-        noise: Array,
-        key: Array,
-        progress: Array,
-    ) -> tuple[Array, Array]:
+    def explore(self, params: Params, now: Exploration) -> tuple[Array, Array]:
         """The best action plus white noise."""
-        del mask
-        best = jnp.tanh(jax.vmap(lambda x: self.actor.apply(params, "policy", x))(observation))
-        draw = value_at(self.config.noise, progress) * jax.random.normal(key, best.shape, best.dtype)
-        return jnp.clip(best + draw, -1.0, 1.0), noise
+        best = jnp.tanh(jax.vmap(lambda x: self.actor.apply(params, "policy", x))(now.observation))
+        draw = value_at(self.config.noise, now.progress) * jax.random.normal(now.key, best.shape, best.dtype)
+        return jnp.clip(best + draw, -1.0, 1.0), now.noise
 
     def improve(
         self, networks: Networks, batch: Batch, key: Array, progress: Array

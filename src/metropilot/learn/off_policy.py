@@ -73,6 +73,24 @@ class Batch(NamedTuple):
     weight: Array
 
 
+class Exploration(NamedTuple):
+    """Circumstances that exploring actions follow from.
+
+    Attributes:
+        observation: Normalised. Shape (N, O).
+        mask: Shape (N, count) or None.
+        noise: Shape (N, actions).
+        key: Random key.
+        progress: Share of the learning done.
+    """
+
+    observation: Array
+    mask: Array | None
+    noise: Array
+    key: Array
+    progress: Array
+
+
 class ReplayState(NamedTuple):
     """Everything a learner with a memory carries.
 
@@ -166,24 +184,12 @@ class AbstractReplayLearner(AbstractLearner[ReplayConfig], Generic[ReplayConfig]
         """Parameters, targets and optimiser at the beginning."""
 
     @abstractmethod
-    def explore(
-        self,
-        params: Params,
-        observation: Array,
-        mask: Array | None,
-        noise: Array,
-        key: Array,
-        progress: Array,
-    ) -> tuple[Array, Array]:
+    def explore(self, params: Params, now: Exploration) -> tuple[Array, Array]:
         """Actions for all environments, and the noise's new state.
 
         Args:
             params: Online parameters.
-            observation: Normalised. Shape (N, O).
-            mask: Shape (N, count) or None.
-            noise: Shape (N, actions).
-            key: Random key.
-            progress: Share of the learning done.
+            now: All else that they follow from.
         """
 
     @abstractmethod
@@ -228,7 +234,8 @@ class AbstractReplayLearner(AbstractLearner[ReplayConfig], Generic[ReplayConfig]
 
         def act(now: env.Environments, noise: Array, step_key: Array) -> tuple[Array, Array]:
             seen = self._normalise(statistics, now.observation)
-            return self.explore(params, seen, env.masks(self.task, now.state), noise, step_key, progress)
+            masks = env.masks(self.task, now.state)
+            return self.explore(params, Exploration(seen, masks, noise, step_key, progress))
 
         state, finished = repeat(
             lambda s, k: self._remember(s, act, k), state._replace(key=key), collect_key, self.config.collect

@@ -14,7 +14,7 @@ from metropilot.learn.ddpg import subset
 from metropilot.learn.learner import needs_continuous
 from metropilot.learn.losses import sac as losses
 from metropilot.learn.networks import squashed_sample
-from metropilot.learn.off_policy import AbstractReplayLearner, Batch, Networks
+from metropilot.learn.off_policy import AbstractReplayLearner, Batch, Exploration, Networks
 from metropilot.learn.optimiser import adam_init, adam_step, polyak
 from metropilot.learn.schedules import value_at
 from metropilot.policy import Params
@@ -72,18 +72,9 @@ class SAC(AbstractReplayLearner[SACConfig]):
         ]
         return jnp.stack(twins)
 
-    def explore(
-        self,
-        params: Params,
-        observation: Array,
-        mask: Array | None,
-        noise: Array,
-        key: Array,
-        progress: Array,
-    ) -> tuple[Array, Array]:
+    def explore(self, params: Params, now: Exploration) -> tuple[Array, Array]:
         """A sample of the policy."""
-        del mask, progress
-        return self.sample(params, observation, key)[0], noise
+        return self.sample(params, now.observation, now.key)[0], now.noise
 
     def improve(
         self, networks: Networks, batch: Batch, key: Array, progress: Array
