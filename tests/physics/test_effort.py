@@ -56,7 +56,7 @@ def test_full_brake_is_the_service_rate_where_blending_can_give_it():
 @pytest.mark.parametrize("share", [-1.0, -0.4, 0.0, 0.7, 1.0])
 def test_command_and_force_are_inverse(speed, share):
     vehicle = physics.vehicle_arrays(load_trainset("dkz32"))
-    force = physics.command_force_n(vehicle, speed, share)
+    force = physics.effort_at(vehicle, speed).force_n(share)
     assert physics.command_for_force(vehicle, speed, force) == pytest.approx(share)
     assert physics.command_for_force(vehicle, speed, 1e9) == 1.0
     assert physics.command_for_force(vehicle, speed, -1e9) == -1.0

@@ -65,14 +65,14 @@ def test_cruising_speed_is_solved_from_the_time(shape, time_s):
     assert drawn.distance_m == 1280.0
 
 
-def test_over_position_inverts_over_time():
+def test_time_at_a_position_inverts_position_at_a_time():
     drawn = reference(1280.0, 18.3, CHENG)
     time = np.linspace(0.5, drawn.duration_s - 0.5, 101)
     position, speed, acceleration = drawn.at(time)
     assert np.allclose(drawn.time_at(position), time, atol=1e-6)
-    found = drawn.over_position(position)
-    assert np.allclose(found[0], speed, atol=1e-6)
-    assert np.allclose(found[1], acceleration, atol=1e-6)
+    found = drawn.at(drawn.time_at(position))
+    assert np.allclose(found[1], speed, atol=1e-6)
+    assert np.allclose(found[2], acceleration, atol=1e-6)
 
 
 def test_what_cannot_be_is_said_in_one_line():

@@ -26,7 +26,6 @@ from .forces import brake_available_n as brake_available_n
 from .forces import braking_bands as braking_bands
 from .forces import command_for_effort as command_for_effort
 from .forces import command_for_force as command_for_force
-from .forces import command_force_n as command_force_n
 from .forces import curve_n as curve_n
 from .forces import davis_n as davis_n
 from .forces import effort_at as effort_at

@@ -125,11 +125,6 @@ def brake_available_n(vehicle: Vehicle, speed_mps: Scalar) -> Scalar:
     return effort_at(vehicle, speed_mps).brake_n
 
 
-def command_force_n(vehicle: Vehicle, speed_mps: Scalar, command: Scalar) -> Scalar:
-    """Signed wheel force of a command in [-1, 1], traction positive, N (Chen23a eqs. 13 and 14)."""
-    return effort_at(vehicle, speed_mps).force_n(command)
-
-
 def command_for_effort(effort: Scalar, traction: Scalar, brake: Scalar) -> Scalar:
     """The command in [-1, 1] whose effort is nearest the wanted one.
 
@@ -143,7 +138,7 @@ def command_for_effort(effort: Scalar, traction: Scalar, brake: Scalar) -> Scala
 
 
 def command_for_force(vehicle: Vehicle, speed_mps: Scalar, force_n: Scalar) -> Scalar:
-    """The command whose force is nearest the wanted one; inverse of :func:`command_force_n`."""
+    """The command whose force is nearest the wanted one; inverse of :meth:`Effort.force_n`."""
     xp = namespace(vehicle.adhesion_n, speed_mps, force_n)
     effort = effort_at(vehicle, speed_mps)
     return command_for_effort(force_n, xp.maximum(effort.traction_n, 1.0), xp.maximum(effort.brake_n, 1.0))

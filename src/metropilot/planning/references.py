@@ -119,11 +119,6 @@ class Reference:
             low, high = np.where(before, middle, low), np.where(before, high, middle)
         return high
 
-    def over_position(self, position_m: Float[ndarray, "*places"] | float) -> tuple[ndarray, ndarray]:
-        """Speed and acceleration at each position: the form a controller follows."""
-        _, speed, acceleration = self.at(self.time_at(position_m))
-        return speed, acceleration
-
 
 def reference(distance_m: float, cruise_mps: float, shape: ReferenceShape) -> Reference:
     """The reference over a distance; a distance too short for the cruising speed gets a lower peak.
