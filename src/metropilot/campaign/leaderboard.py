@@ -76,7 +76,7 @@ COLUMNS: Columns = (
     ("worst s", lambda row: number(row["late_worst_s"], 2)),
     ("stop: worst m", lambda row: number(row["stop_worst_m"], 3)),
     ("jerk: worst m/s³", lambda row: number(row["jerk_worst_mps3"], 2)),
-    ("Σ\\|Δu\\|", lambda row: number(row["comfort_median"], 1)),
+    ("Σ|Δu|", lambda row: number(row["comfort_median"], 1)),
     ("intervened", lambda row: str(row["intervened"])),
     ("failed", lambda row: str(row["failed"])),
     ("decision: median µs", lambda row: number(row["decision_us_median"], 0)),

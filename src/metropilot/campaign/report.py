@@ -147,8 +147,8 @@ def number(value: int | float | None, digits: int, sign: str = "") -> str:
 
 
 def markdown_table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
-    """Lines of a table, its first column flush left and the others right."""
-    lines = ["| " + " | ".join(each) + " |" for each in (heads, *rows)]
+    """Lines of a table, its first column flush left and the others right; a bar in a cell is escaped."""
+    lines = ["| " + " | ".join(cell.replace("|", "\\|") for cell in each) + " |" for each in (heads, *rows)]
     return [lines[0], "|---" + "|---:" * (len(heads) - 1) + "|", *lines[1:]]
 
 
