@@ -1,13 +1,16 @@
 """Gather the texts of the console into its catalogue and compile it for gettext.
 
-Texts are found in the sources by Babel, and in what the library declares: labels of fields, one-sentence
-descriptions of drivers, recipes and studies. Translations stay; texts that are gone are left out; new ones
-wait for a translation, in ``src/metropilot/web/words/zh/LC_MESSAGES/metropilot.po``.
+Texts are found in the sources by Babel, in the errors that the library raises, and in what it declares:
+labels of fields, one-sentence descriptions of drivers, recipes and studies, claims and captions. Translations
+stay; texts that are gone are left out; new ones wait for a translation, in
+``src/metropilot/web/words/zh/LC_MESSAGES/metropilot.po``.
 
     python tools/words.py
 """
 
+import ast
 import sys
+from collections.abc import Iterator
 from datetime import UTC, datetime
 from io import BytesIO
 from pathlib import Path
@@ -24,13 +27,40 @@ SOURCES = ROOT / "src" / "metropilot" / "web"
 FOLDER = SOURCES / "words"
 DOMAIN, ENGLISH = "metropilot", "en"
 KEYWORDS = {"_": None, "N_": None, "gettext": None, "ngettext": (1, 2)}
-DECLARED = "declared"
+DECLARED, REFUSED = "declared", "src/metropilot/web/words/refusals.py"
+REFUSALS = {"InputError", "Infeasible", "Refused", "SolverError", "fail"}
+ELSEWHERE = (
+    "cli/",
+    "env/adapters/",
+    "campaign/run.py",
+    "campaign/store.py",
+    "learn/export.py",
+    "studies/",
+    "web/settings.py",
+)
+"""Places whose refusals no page shows: the command line, Ray, ONNX, Gymnasium, the start of the server."""
 AUTHORS = "The metropilot authors"
 HEADER = """\
 # Texts of the console: written by `make words`, which keeps the translations that are filled in here.
 #"""
 WRITTEN = datetime(2026, 11, 25, tzinfo=UTC)
 """Date in the header: a real one would change the file at every call."""
+
+
+def refused_texts() -> Iterator[str]:
+    """Yield the texts of errors that a page can show, where they stand in the call."""
+    library = ROOT / "src" / "metropilot"
+    for path in sorted(library.rglob("*.py")):
+        if path.relative_to(library).as_posix().startswith(ELSEWHERE):
+            continue
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if not (isinstance(node, ast.Call) and node.args):
+                continue
+            if getattr(node.func, "id", getattr(node.func, "attr", None)) in REFUSALS:
+                first = node.args[0]
+                parts = (first.body, first.orelse) if isinstance(first, ast.IfExp) else (first,)
+                told = (part.value for part in parts if isinstance(part, ast.Constant))
+                yield from (text for text in told if isinstance(text, str))
 
 
 def gather(language: str) -> Catalog:
@@ -43,8 +73,9 @@ def gather(language: str) -> Catalog:
     for name, _line, message, _comments, _context in found:
         if message:
             made.add(message, locations=[((SOURCES / name).relative_to(ROOT).as_posix(), 0)])
-    for message in declared_texts():
-        made.add(message, locations=[(DECLARED, 0)])
+    for place, messages in ((DECLARED, declared_texts()), (REFUSED, refused_texts())):
+        for message in messages:
+            made.add(message, locations=[(place, 0)])
     return made
 
 

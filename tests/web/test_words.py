@@ -137,16 +137,6 @@ def test_pages_are_answered_in_the_language(server):
 
 
 REFUSALS = {"InputError", "Infeasible", "Refused"}
-ELSEWHERE = (
-    "cli/",
-    "env/adapters/",
-    "campaign/run.py",
-    "campaign/store.py",
-    "learn/export.py",
-    "studies/",
-    "web/settings.py",
-)
-"""Places whose refusals no page shows: the command line, Ray, ONNX, Gymnasium, the start of the server."""
 
 
 def texts_of(node, names):
@@ -187,12 +177,12 @@ def refusals_of(path):
 
 
 @pytest.mark.parametrize("language", OTHERS)
-def test_every_refusal_that_a_page_can_show_is_translated(language):
+def test_every_refusal_that_a_page_can_show_is_translated(tool, language):
     source = ROOT / "src" / "metropilot"
     found = [
         (path.relative_to(source).as_posix(), message)
         for path in sorted(source.rglob("*.py"))
-        if not path.relative_to(source).as_posix().startswith(ELSEWHERE)
+        if not path.relative_to(source).as_posix().startswith(tool.ELSEWHERE)
         for message in refusals_of(path)
     ]
     assert len(found) > 400

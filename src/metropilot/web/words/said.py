@@ -406,7 +406,7 @@ AND = JOINTS[-1]
 
 
 @cache
-def _patterns() -> tuple[tuple[str, re.Pattern[str]], ...]:
+def sentence_patterns() -> tuple[tuple[str, re.Pattern[str]], ...]:
     """Sentences with the expressions that find them."""
     found = []
     for message in (*SENTENCES, *studies.SENTENCES, *refusals.SENTENCES):
@@ -425,7 +425,7 @@ def retell(text: str) -> str:
     found = gettext(text)
     if found != text:
         return found
-    for message, pattern in _patterns():
+    for message, pattern in sentence_patterns():
         if match := pattern.fullmatch(text):
             return gettext(message, **{name: retell(value) for name, value in match.groupdict().items()})
     for joint in JOINTS:
