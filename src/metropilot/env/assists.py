@@ -11,8 +11,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from types import MappingProxyType
 
+from metropilot._schema import Checked, declare
 from metropilot._typing import Flag, Index, Scalar
 from metropilot.control import (
     AT_ONCE_MPS3,
@@ -28,7 +28,6 @@ from metropilot.control import (
 )
 from metropilot.env.features import FeatureContext
 from metropilot.env.tables import LEAST_STOP_MPS2, PERMITTED_COLUMN, STOP_USE, SectionRows
-from metropilot.errors import InputError
 from metropilot.physics import scalars
 
 LET_GO_SHARE = 0.75
@@ -39,20 +38,9 @@ SHORTEST_M = 0.5
 SHARED_M = 10.0
 """Nearer to the stop the deceleration asked for is what it is."""
 
-RANGES = MappingProxyType(
-    {
-        "margin_mps": (0.0, 5.0),
-        "stop_mps2": (0.0, STRONGEST_MPS2),
-        "stop_use": (0.1, 1.0),
-        "release": (0.1, 1.0),
-        "let_go": (0.0, 1.0),
-    }
-)
-"""Admissible ranges of the numbers of :class:`Assists`."""
-
 
 @dataclass(frozen=True)
-class Assists:
+class Assists(Checked):
     """Assists of a task.
 
     Attributes:
@@ -72,19 +60,12 @@ class Assists:
 
     stop: bool = True
     ceiling: bool = True
-    margin_mps: float = 0.15
-    stop_mps2: float = 0.0
-    stop_use: float = STOP_USE
-    release: float = 0.5
-    let_go: float = LET_GO_SHARE
+    margin_mps: float = declare(0.15, low=0.0, high=5.0)
+    stop_mps2: float = declare(0.0, low=0.0, high=STRONGEST_MPS2)
+    stop_use: float = declare(STOP_USE, low=0.1, high=1.0)
+    release: float = declare(0.5, low=0.1, high=1.0)
+    let_go: float = declare(LET_GO_SHARE, low=0.0, high=1.0)
     late: bool = False
-
-    def __post_init__(self) -> None:
-        """Check the numbers against ``RANGES``."""
-        for name, (low, high) in RANGES.items():
-            value = getattr(self, name)
-            if not low <= value <= high:
-                raise InputError("out of range", field=name, value=value, allowed=f"{low:g} to {high:g}")
 
     @property
     def work_share(self) -> float:

@@ -7,6 +7,7 @@ from typing import final
 
 import numpy as np
 
+from metropilot._schema import check_fields, declare
 from metropilot._typing import Array, Scalar
 from metropilot.env import (
     PERMITTED_COLUMN,
@@ -63,9 +64,9 @@ class NotchForceAction(AbstractAction):
 
     notches_n: tuple[float, ...] = LU2023_N
     in_time: bool = True
-    margin: float = 0.05
-    most_mps2: float = 0.0
-    below_mps: float = 0.0
+    margin: float = declare(0.05, low=0.0, high=1.0)
+    most_mps2: float = declare(0.0, low=0.0, high=5.0)
+    below_mps: float = declare(0.0, low=0.0, high=5.0)
     late_brake: bool = False
 
     def __post_init__(self) -> None:
@@ -74,11 +75,7 @@ class NotchForceAction(AbstractAction):
         if 0.0 not in notches or list(notches) != sorted(set(notches)) or not notches[0] < 0 < notches[-1]:
             allowed = "increasing forces in N, the first below 0, 0 among them, the last above 0"
             raise InputError("no table of notches", field="notches_n", value=str(notches), allowed=allowed)
-        for name, high in (("margin", 1.0), ("most_mps2", 5.0), ("below_mps", 5.0)):
-            if not 0.0 <= getattr(self, name) <= high:
-                raise InputError(
-                    "out of range", field=name, value=getattr(self, name), allowed=f"0 to {high:g}"
-                )
+        check_fields(self)
 
     @property
     def space(self) -> ActionSpace:

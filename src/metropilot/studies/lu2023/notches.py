@@ -25,6 +25,7 @@ import numpy as np
 from numpy import ndarray
 from scipy.optimize import brentq
 
+from metropilot._schema import Checked, declare
 from metropilot._typing import Float, Int
 from metropilot.errors import Infeasible, InputError
 from metropilot.physics import track_arrays, vehicle_arrays
@@ -42,7 +43,7 @@ JUMP = 1e-6
 
 
 @dataclass(frozen=True)
-class NotchOptions:
+class NotchOptions(Checked):
     """Options of the programme.
 
     Attributes:
@@ -52,21 +53,10 @@ class NotchOptions:
         most_mps2: Largest acceleration by traction and deceleration by braking, m/s^2; coasting has none.
     """
 
-    spacing_m: float = 4.0
-    speeds: int = 600
-    brake_weight: float = 0.0
-    most_mps2: float = 5.0
-
-    def __post_init__(self) -> None:
-        for name, low, high in (
-            ("spacing_m", 0.2, 50.0),
-            ("speeds", 20, 10_000),
-            ("brake_weight", 0.0, 10.0),
-            ("most_mps2", 0.5, 5.0),
-        ):
-            value = getattr(self, name)
-            if not low <= value <= high:
-                raise InputError("out of range", field=name, value=value, allowed=f"{low:g} to {high:g}")
+    spacing_m: float = declare(4.0, low=0.2, high=50.0)
+    speeds: int = declare(600, low=20, high=10_000)
+    brake_weight: float = declare(0.0, low=0.0, high=10.0)
+    most_mps2: float = declare(5.0, low=0.5, high=5.0)
 
 
 @dataclass(frozen=True)
