@@ -191,7 +191,7 @@ def check_name(name: str, names: Iterable[str], what: str, **where: Any) -> None
     if name not in (names := tuple(names)):
         near = get_close_matches(name, names, 1)
         hint = f", did you mean {near[0]}?" if near else ""
-        raise InputError(f"unknown {what}{hint}", allowed=", ".join(names), **where)
+        raise InputError(f"unknown {what}{hint}", allowed=", ".join(names) or "none", **where)
 
 
 def convert(name: str, value: Any, kind: type, range_words: str = "") -> Any:  # noqa: ANN401 (a plain value)

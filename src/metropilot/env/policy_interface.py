@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
 from types import MappingProxyType
 from typing import Any
 
+from metropilot._schema import check_name
 from metropilot.env.actions import ACTIONS, AbstractAction
 from metropilot.env.assists import Assists
 from metropilot.env.features import FEATURES
@@ -120,11 +120,7 @@ def _make(kind: Any, values: object, field: str) -> Any:  # noqa: ANN401 (a data
     given = dict(values) if isinstance(values, Mapping) else {_excerpt(values): None}
     names = [f.name for f in fields(kind)]
     for name in given:
-        if name not in names:
-            near = difflib.get_close_matches(str(name), names, 1)
-            words = f"unknown field{f', did you mean {near[0]}?' if near else ''}"
-            known = ", ".join(names) or "none"
-            raise InputError(words, field=field, value=_excerpt(name), allowed=known)
+        check_name(str(name), names, "field", field=field, value=_excerpt(name))
     return kind(
         **{name: _like(getattr(standard, name), value, f"{field}.{name}") for name, value in given.items()}
     )
