@@ -28,9 +28,29 @@ from metropilot.railway.formats.reader import (
 )
 from metropilot.railway.formats.toml import Document, header, with_sources, write_document
 from metropilot.railway.trainset import Actuation, Couplers, CurveFormula, Davis, SafeBraking, Trainset
-from metropilot.units import STANDARD_GRAVITY_MPS2, Unit, pick, unit
+from metropilot.units import STANDARD_GRAVITY_MPS2, Unit, pick, si_unit, unit
 
 GRAVITY = Range(9.0, 10.5)
+Keys = dict[str, tuple[str, str, Range, float | None]]
+LIMITS: Keys = {
+    "service_deceleration": ("service_deceleration_mps2", "acceleration", POSITIVE_OR_NONE, math.inf),
+    "max_acceleration": ("max_acceleration_mps2", "acceleration", POSITIVE_OR_NONE, math.inf),
+    "max_deceleration": ("max_deceleration_mps2", "acceleration", POSITIVE_OR_NONE, math.inf),
+    "adhesion": ("adhesion", "share", POSITIVE_OR_NONE, math.inf),
+}
+ACTUATION: Keys = {
+    "delay": ("delay_s", "time", ACTUATION_TIME, 0.0),
+    "lag": ("lag_s", "time", ACTUATION_TIME, 0.0),
+    "jerk_limit": ("jerk_limit_mps3", "jerk", POSITIVE_OR_NONE, math.inf),
+}
+PROTECTION: Keys = {
+    "emergency_deceleration": ("emergency_deceleration_mps2", "acceleration", EMERGENCY_RATE, None),
+    "service_deceleration": ("service_deceleration_mps2", "acceleration", POSITIVE, None),
+    "reaction": ("reaction_s", "time", ACTUATION_TIME, 0.0),
+    "buildup": ("buildup_s", "time", ACTUATION_TIME, 0.0),
+    "emergency_jerk": ("emergency_jerk_mps3", "jerk", EMERGENCY_JERK, math.inf),
+}
+"""Fields of blocks by key, with quantity, range and default; None: it must be there."""
 _FORMS = ("pieces", "table", "force")
 _FORM_WORDS = "one of: pieces, table, force with power"
 
@@ -66,21 +86,23 @@ def read_trainset(root: Node) -> Trainset:
         traction=read_effort(traction),
         electric_brake=read_effort(electric),
         friction_brake_n=friction.quantity("force", "force", NOT_NEGATIVE) if friction else 0.0,
-        service_deceleration_mps2=limits.quantity(
-            "service_deceleration", "acceleration", POSITIVE_OR_NONE, math.inf
-        ),
-        max_acceleration_mps2=limits.quantity("max_acceleration", "acceleration", POSITIVE_OR_NONE, math.inf),
-        max_deceleration_mps2=limits.quantity("max_deceleration", "acceleration", POSITIVE_OR_NONE, math.inf),
-        adhesion=limits.quantity("adhesion", "share", POSITIVE_OR_NONE, math.inf),
+        **_read(limits, LIMITS),
         efficiency_traction=_efficiency(energy, "traction"),
         efficiency_braking=_efficiency(energy, "braking"),
         receptivity=energy.quantity("receptivity", "share", SHARE, 0.0) if energy else 0.0,
         auxiliary_w=energy.quantity("auxiliary", "power", NOT_NEGATIVE, 0.0) if energy else 0.0,
-        actuation=_actuation(document.optional("actuation")),
-        safe_braking=_safe_braking(document.optional("protection")),
+        actuation=Actuation(**_read(document.optional("actuation"), ACTUATION)),
+        safe_braking=SafeBraking(**_read(document.optional("protection"), PROTECTION)),
         couplers=_couplers(document.optional("couplers")),
         notches=_notches(document.optional("notches")),
     )
+
+
+def _read(block: Node | None, keys: Keys) -> dict[str, float]:
+    """Values of a block by field; nothing without the block."""
+    if block is None:
+        return {}
+    return {name: block.quantity(key, of, bounds, usual) for key, (name, of, bounds, usual) in keys.items()}
 
 
 def _loads(mass: Node) -> dict[str, float]:
@@ -161,28 +183,6 @@ def _efficiency(block: Node | None, key: str) -> Efficiency:
     ]
     table.close()
     return Efficiency(np.array(axes["speed"]), np.array(axes["effort_share"]), np.array(cells))
-
-
-def _actuation(block: Node | None) -> Actuation:
-    if block is None:
-        return Actuation()
-    return Actuation(
-        delay_s=block.quantity("delay", "time", ACTUATION_TIME, 0.0),
-        lag_s=block.quantity("lag", "time", ACTUATION_TIME, 0.0),
-        jerk_limit_mps3=block.quantity("jerk_limit", "jerk", POSITIVE_OR_NONE, math.inf),
-    )
-
-
-def _safe_braking(block: Node | None) -> SafeBraking:
-    if block is None:
-        return SafeBraking()
-    return SafeBraking(
-        emergency_deceleration_mps2=block.quantity("emergency_deceleration", "acceleration", EMERGENCY_RATE),
-        service_deceleration_mps2=block.quantity("service_deceleration", "acceleration", POSITIVE),
-        reaction_s=block.quantity("reaction", "time", ACTUATION_TIME, 0.0),
-        buildup_s=block.quantity("buildup", "time", ACTUATION_TIME, 0.0),
-        emergency_jerk_mps3=block.quantity("emergency_jerk", "jerk", EMERGENCY_JERK, math.inf),
-    )
 
 
 def _couplers(block: Node | None) -> Couplers:
@@ -346,28 +346,11 @@ def trainset_document(trainset: Trainset) -> dict[str, Any]:
 
 
 def _blocks(t: Trainset) -> dict[str, Any]:
-    safe = t.safe_braking
-    rate, time, jerk = "m/s^2", "s", "m/s^3"
     blocks: dict[str, Any] = {
-        "limits": _block(
-            service_deceleration=(t.service_deceleration_mps2, rate),
-            max_acceleration=(t.max_acceleration_mps2, rate),
-            max_deceleration=(t.max_deceleration_mps2, rate),
-            adhesion=(t.adhesion, "1"),
-        ),
+        "limits": _block(t, LIMITS),
         "energy": _energy_block(t),
-        "actuation": _block(
-            delay=(t.actuation.delay_s, time),
-            lag=(t.actuation.lag_s, time),
-            jerk_limit=(t.actuation.jerk_limit_mps3, jerk),
-        ),
-        "protection": _block(
-            emergency_deceleration=(safe.emergency_deceleration_mps2, rate),
-            service_deceleration=(safe.service_deceleration_mps2, rate),
-            reaction=(safe.reaction_s, time),
-            buildup=(safe.buildup_s, time),
-            emergency_jerk=(safe.emergency_jerk_mps3, jerk),
-        ),
+        "actuation": _block(t.actuation, ACTUATION),
+        "protection": _block(t.safe_braking, PROTECTION),
         "couplers": {
             "units": {"stiffness": "N/m", "damping": "N/(m/s)"},
             "vehicles": t.couplers.vehicles,
@@ -383,13 +366,10 @@ def _blocks(t: Trainset) -> dict[str, Any]:
     return blocks
 
 
-def _block(**values: tuple[float, str]) -> dict[str, Any]:
+def _block(values: object, keys: Keys) -> dict[str, Any]:
     """Values with their units, in one block; those without a bound are left out where that is the default."""
-    given = {name: pair for name, pair in values.items() if math.isfinite(pair[0])}
-    return {
-        "units": {name: unit for name, (_, unit) in given.items()},
-        **{n: v for n, (v, _) in given.items()},
-    }
+    given = {key: value for key, (name, *_) in keys.items() if math.isfinite(value := getattr(values, name))}
+    return {"units": {key: si_unit(keys[key][1]).name for key in given}, **given}
 
 
 def _energy_block(t: Trainset) -> dict[str, Any]:
