@@ -318,3 +318,13 @@ def test_an_expert_stops_a_trainset_heavier_than_told_at_its_mark(name):
     assert done.interventions == 0
     assert float(done.trajectory.position_m[-1]) - section.length_m == pytest.approx(0.0, abs=0.1)
     assert done.running_time_s == pytest.approx(time_s, abs=1.0)
+
+
+@pytest.mark.parametrize("ratio", [1.02, 1.05])
+def test_a_policy_with_plenty_of_traction_comes_up_to_a_limit_without_an_intervention(ratio):
+    """An empty DKZ32 was overruled 10 and 12 times: protection expects the traction of a lower speed."""
+    section = section_of(1200.0, {0.0: 60.0}, {0.0: 0.0})
+    done = driven(section, load_trainset("dkz32", "AW0"), ratio, "generalist")
+    assert done.outcome is Outcome.ARRIVED
+    assert done.interventions == 0
+    assert done.running_time_s - done.scheduled_time_s == pytest.approx(0.0, abs=0.5)

@@ -200,7 +200,7 @@ class LearnedDriver(AbstractDriver):
                 command = np.maximum(command, context.effort_limits.command_for(0.0))
         if assists.ceiling:
             near = replace(assists, margin_mps=mismatch.MARGIN_MPS)
-            most = float(ceiling_mps2(near, context, dt))
+            most = float(ceiling_mps2(near, context, dt, asked=True))
             command = as_double(mismatch.limit_to_ceiling(monitor, ahead, float(command), most))
         return command, np.bool_(stopping)
 

@@ -34,6 +34,9 @@ LET_GO_SHARE = 0.75
 """Below this share of the planned deceleration a station stop of continuous effort began too early."""
 LAST_M = 1.0
 """Nearer to the stop than this the station stop is not given up again."""
+HARD_MPS2, PULLS_MORE = 0.8, 1.15
+"""Traction per mass from which it counts that protection expects so much more of it than there is: that of a
+lower speed, besides that of the lightest trainset."""
 SHORTEST_M = 0.5
 SHARED_M = 10.0
 """Nearer to the stop the deceleration asked for is what it is."""
@@ -166,11 +169,17 @@ def apply_assists(
     return command, stopping
 
 
-def ceiling_mps2(assists: Assists, context: FeatureContext, dt: float) -> Scalar:
+def ceiling_mps2(assists: Assists, context: FeatureContext, dt: float, *, asked: bool = False) -> Scalar:
     """Largest acceleration that protection lets pass and the trainset's limits allow.
 
     An acceleration must stop in time for the reaction of the emergency brake even if the trainset is as
     light as the bounds allow (:func:`metropilot.protection.approach_margin`).
+
+    Args:
+        assists: Which; their margin is kept.
+        context: What the driver sees.
+        dt: Control period, s.
+        asked: True if protection itself is asked about the command besides.
     """
     xp, rates = context.xp, context.rates
     v, x = context.speed_mps, context.position_m
@@ -185,8 +194,24 @@ def ceiling_mps2(assists: Assists, context: FeatureContext, dt: float) -> Scalar
     later = ceiling(x + v * ahead_s) - v
     rise = xp.maximum(xp.minimum(near, later), 0.0)
     upward = closing_acceleration(rise, dt + spread * rates.reaction_s, jerk)
+    if assists.late and not asked:
+        # it keeps closer to the permitted speed than others
+        hard = context.effort_limits.traction_mps2 > HARD_MPS2
+        most = _undone_mps2(context, rise + assists.margin_mps)
+        upward = xp.where(hard, xp.minimum(upward, most), upward)
     downward = xp.minimum(xp.minimum(near / dt, later / ahead_s), 0.0)
     return xp.minimum(upward + downward, context.vehicle.max_acceleration_mps2)
+
+
+def _undone_mps2(context: FeatureContext, room_mps: Scalar) -> Scalar:
+    """Largest acceleration that the emergency brake undoes in a room below the permitted speed."""
+    xp, rates = context.xp, context.rates
+    pulls, reaction_s = PULLS_MORE / rates.mass_low, rates.reaction_s
+    # the permitted speed leaves room for the traction that holds a speed
+    holds_mps2 = xp.maximum(context.effort_limits.drag_mps2, 0.0)
+    room_mps = room_mps + reaction_s * pulls * holds_mps2
+    root_s = xp.sqrt(reaction_s * reaction_s + 2.0 * room_mps / rates.jerk_mps3)
+    return rates.jerk_mps3 * (root_s - reaction_s) / pulls - holds_mps2
 
 
 def stop_mps2(
