@@ -150,6 +150,22 @@ def test_coasting_alone_tells_mass_and_resistance_not_apart(nominal):
         fit_trainset([log], nominal)
 
 
+@pytest.mark.parametrize("row", [70, 200])
+def test_a_row_without_a_command_is_a_gap(log, nominal, row):
+    command = log.command.copy()
+    command[row] = np.nan
+    found = fit_trainset([replace(log, command=command)], nominal, resistance="factor")
+    assert found["mass_factor"].value == pytest.approx(1.1, rel=1e-2)
+    assert found.runs.row_mps.size < log.time_s.size - 1
+
+
+@pytest.mark.parametrize("offset", [12065.0, -60.0])
+def test_positions_outside_the_section_are_refused(log, nominal, section, offset):
+    moved = replace(log, position_m=log.position_m + offset)
+    with pytest.raises(InputError, match=r"position: outside the section: .*0 to 1280 m, from"):
+        fit_trainset([moved], nominal, sections=[section])
+
+
 def test_a_log_without_input_is_refused(log, nominal):
     with pytest.raises(InputError, match="command: column missing"):
         fit_trainset([replace(log, command=None)], nominal, source="command")

@@ -97,6 +97,26 @@ def test_a_bad_log_is_refused_in_one_line(tmp_path, header, change, said):
     assert "bad.csv" in found.value.line()
 
 
+@pytest.mark.parametrize(
+    ("row", "decimal", "said"),
+    [("1.4,4.3,0.5,,7", ".", "line 9: too many cells: 5"), ("1.4,4.3,0.5", ",", "line 2: too many cells: 6")],
+)
+def test_more_cells_than_the_header_are_refused(tmp_path, row, decimal, said):
+    path = write(tmp_path / "a.csv", ("time [s]", "speed [m/s]", "command"), rows())
+    lines = path.read_text().splitlines()
+    lines[8] = row
+    path.write_text("\n".join(line.replace(".", decimal) for line in lines) + "\n")
+    with pytest.raises(InputError) as found:
+        read_log(path)
+    assert f"{said} (allowed: at most 3, as in the header; with decimal commas, semi" in found.value.line()
+
+
+def test_empty_cells_beyond_the_header_are_none(tmp_path):
+    path = write(tmp_path / "a.csv", ("time [s]", "speed [m/s]", "command"), rows())
+    path.write_text("\n".join(line + "," * (k > 0) for k, line in enumerate(path.read_text().splitlines())))
+    assert read_log(path).command == pytest.approx(0.5)
+
+
 def test_a_short_log_is_refused(tmp_path):
     with pytest.raises(InputError, match="too short"):
         read_log(write(tmp_path / "a.csv", ("time [s]", "speed [m/s]"), rows()[:5]))

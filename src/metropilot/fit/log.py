@@ -81,7 +81,8 @@ def read_log(path: str | Path) -> Log:
     A column is a quantity with its unit: ``speed [km/h]``, ``speed (m/s)`` or ``speed_kmh``. Read are time,
     speed, command, effort (or traction with electric and friction brake), position, gradient and power at the
     wheel, which gives an effort where none is logged; other columns are ignored. `trajectory.csv` is such a
-    file. A row with an empty time or speed is a gap.
+    file. A row with an empty time or speed is a gap;
+    cells missing at its end are empty.
 
     Raises:
         InputError: A column, a unit or a number is missing or cannot be used, or time does not increase.
@@ -145,6 +146,13 @@ def _cells(path: Path) -> tuple[list[str], list[list[str]]]:
         )
     if delimiter == ";":
         found = [found[0], *([cell.replace(",", ".") for cell in row] for row in found[1:])]
+    columns = len(found[0])
+    for number, row in enumerate(found[1:], 2):
+        if any(map(str.strip, row[columns:])):
+            allowed = f"at most {columns}, as in the header; with decimal commas, semicolons between cells"
+            raise InputError(
+                "too many cells", file=path, field=f"line {number}", value=len(row), allowed=allowed
+            )
     return [cell.strip().lstrip("\ufeff") for cell in found[0]], found[1:]
 
 

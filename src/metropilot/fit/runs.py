@@ -27,6 +27,8 @@ STANDING_S = 5.0
 """Time before the first moving sample from which a run that begins at standstill is simulated."""
 STOPPING_S = 1.5
 """Time after which a trainset that was slower than that stands."""
+OUTSIDE_M = 50.0
+"""Distance beyond the ends of a section to which a logged position is taken for one in it."""
 CHANGE = 0.03
 """Change of the input over missing samples, as a share of its largest, at which a run is cut."""
 LEAST_RUN_S = 5.0
@@ -109,7 +111,7 @@ def cut_runs(logs: Sequence[Log], source: str, vehicle: Vehicle, tracks: Sequenc
             without one.
 
     Raises:
-        InputError: No log holds a run.
+        InputError: No log holds a run, or one has positions outside its section.
     """
     spacing = float(np.median(np.concatenate([np.diff(log.time_s) for log in logs])))
     spacing = round(spacing, 6)
@@ -219,15 +221,35 @@ def _track_at(log: Log, vehicle: Vehicle, track: Track | None) -> Float[ndarray,
         position = np.concatenate([[0.0], np.cumsum(mean * np.diff(log.time_s))])
     else:
         known = np.isfinite(position)
+        _check_inside(log, position[known], float(track.length_m))
         position = np.interp(log.time_s, log.time_s[known], position[known])
     return np.stack([np.asarray(x) * np.ones(rows) for x in mean_slopes(vehicle, track, position)], axis=1)
+
+
+def _check_inside(log: Log, position_m: ndarray, length_m: float) -> None:
+    """Check that logged positions lie in the section.
+
+    Raises:
+        InputError: One does not.
+    """
+    outside = np.maximum(-position_m, position_m - length_m)
+    if outside.max(initial=0.0) > OUTSIDE_M:
+        raise InputError(
+            "outside the section",
+            file=log.name,
+            field="position",
+            value=round(float(position_m[outside.argmax()]), 1),
+            unit="m",
+            allowed=f"0 to {length_m:g} m, from the section's origin",
+        )
 
 
 def _knots(piece: _Piece, start_s: float, spacing: float) -> tuple[ndarray, ndarray]:
     """Integral of the input over time: held from sample to sample, interpolated over missing samples."""
     log = piece.log
     rows = slice(piece.chunk, min(piece.last + 2, log.time_s.size))
-    time, given = log.time_s[rows], piece.input[rows]
+    known = np.isfinite(piece.input[rows])  # the row behind the piece may begin a gap
+    time, given = log.time_s[rows][known], piece.input[rows][known]
     missing = np.flatnonzero(np.diff(time) > 1.5 * spacing)
     if missing.size:
         extra = np.concatenate(
