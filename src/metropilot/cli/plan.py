@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -74,12 +75,7 @@ def plan_command(
     opt.check_both(origin, destination)
     trainset, load, objective = (given[key] for key in ("trainset", "load", "objective"))
     run_fields()["objective"].check("objective", objective)
-    if jerk is not None and not 0 < jerk < float("inf"):
-        raise InputError("out of range", field="jerk", value=jerk, unit="m/s³", allowed="> 0, finite")
-    if time is not None and not 0 < time < float("inf"):
-        raise InputError(
-            "running time out of range", field="time", value=time, unit="s", allowed="> 0, finite"
-        )
+    _check_numbers(time, jerk, {"front": front, "journey": journey is not None})
     where = load_line(line)
     asked = reports.PlanArguments(
         load_trainset(trainset, load), PlanOptions(objective=objective, jerk_mps3=jerk), out, as_json
@@ -97,3 +93,24 @@ def plan_command(
     if journey is not None:
         return reports.timetable(asked, where, journey)
     return reports.journey(asked, where, ends, time)
+
+
+def _check_numbers(time: float | None, jerk: float | None, without_time: Mapping[str, bool]) -> None:
+    """Refuse a running time or a jerk limit that is none, and a time beside what has its own.
+
+    Args:
+        time: Running time, s.
+        jerk: Jerk limit, m/s³.
+        without_time: Options that ask for no time, and if they are given.
+    """
+    if jerk is not None and not 0 < jerk < float("inf"):
+        raise InputError("out of range", field="jerk", value=jerk, unit="m/s³", allowed="> 0, finite")
+    if time is None:
+        return
+    if not 0 < time < float("inf"):
+        raise InputError(
+            "running time out of range", field="time", value=time, unit="s", allowed="> 0, finite"
+        )
+    for name, given in without_time.items():
+        if given:
+            raise InputError(f"no time beside --{name}", field="time", value=time, allowed="one of them")

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from metropilot._io import fill_folder, write_json
 from metropilot.cli.console import console, number, print_json, show_activity, table
-from metropilot.errors import InputError
+from metropilot.errors import InputError, rename_fields
 from metropilot.planning import (
     JourneyPlan,
     Plan,
@@ -256,7 +256,8 @@ def journey(
     """The line's timetable, or its stations within a total time."""
     origin, destination = ends or (line.stations[0], line.stations[-1])
     waypoints = timetable_waypoints(line, origin, destination, total_s=total_s)
-    with show_activity(f"planning {origin.code} to {destination.code}"):
+    named = {"journey": "timetable" if total_s is None else "time_s"}
+    with show_activity(f"planning {origin.code} to {destination.code}"), rename_fields(named):
         found = plan_journey(
             line, asked.trainset, waypoints, asked.options, origin=origin, destination=destination
         )

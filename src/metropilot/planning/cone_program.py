@@ -43,6 +43,10 @@ SOFT_START = 6 ** (4 / 3) / 8
 """Under a constant jerk J from rest ``v^2/2 = SOFT_START * J^(2/3) * x^(4/3)``."""
 
 
+class NoSolution(SolverError):
+    """No drive keeps every constraint of the programme."""
+
+
 @dataclass
 class ConstraintRows:
     """Sparse rows ``A x <= / = b`` being collected, whole blocks at a time."""
@@ -284,6 +288,8 @@ def solve_together(
     zero = sparse.csc_matrix((total, total))
     solution = clarabel.DefaultSolver(zero, cost, matrix, np.concatenate(rows.rhs), cones, settings).solve()
     status = str(solution.status)
+    if status == "PrimalInfeasible":
+        raise NoSolution(f"the plan's solver stopped: {status}")
     if status not in {"Solved", "AlmostSolved"}:
         raise SolverError(f"the plan's solver stopped: {status}")
     x, dual = np.asarray(solution.x), float(solution.obj_val_dual) + constant

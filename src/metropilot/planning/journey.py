@@ -13,9 +13,16 @@ from metropilot.errors import Infeasible, InputError
 from metropilot.physics import track_arrays, vehicle_arrays
 from metropilot.planning.cone_program import TimeBound
 from metropilot.planning.effort_table import specific
-from metropilot.planning.fastest import fastest_profile, times
+from metropilot.planning.fastest import check_running_time, fastest_profile, times
 from metropilot.planning.mesh import Mesh, build_mesh
-from metropilot.planning.optimal import Plan, PlanOptions, explain_stall, iterate, limit_acceleration
+from metropilot.planning.optimal import (
+    Plan,
+    PlanOptions,
+    explain_stall,
+    iterate,
+    limit_acceleration,
+    within_jerk,
+)
 from metropilot.railway import Journey, Line, Station, Trainset
 
 Window = tuple[float | None, float | None]
@@ -191,7 +198,8 @@ def plan_journey(
         destination: Station it ends at, or None for the line's last station.
 
     Raises:
-        Infeasible: A window cannot be met even flat out; the message names waypoint and earliest time.
+        Infeasible: A window cannot be met even flat out, when the message names waypoint and earliest time,
+            or not within the jerk limit.
     """
     options = replace(options or PlanOptions(), start_m=0.0, start_mps=0.0, start_mps2=0.0, end_mps=0.0)
     section = line.section(origin or line.stations[0], destination or line.stations[-1])
@@ -207,7 +215,8 @@ def plan_journey(
     bounds, dwells = _bounds(waypoints, mesh)
     floor = np.zeros(mesh.node_m.size)
     floor[mesh.stop] = [0.0 if w.stop else w.slowest_mps for w in waypoints]
-    plan = iterate(vehicle, table, mesh, energy, bounds, dwells, options, floor if floor.any() else None)
+    with within_jerk(options):
+        plan = iterate(vehicle, table, mesh, energy, bounds, dwells, options, floor if floor.any() else None)
     return JourneyPlan(plan, _calls(waypoints, mesh, plan, duration))
 
 
@@ -218,7 +227,12 @@ def _with_stops(mesh: Mesh, waypoints: Sequence[Waypoint]) -> Mesh:
 
 
 def _check_windows(waypoints: Sequence[Waypoint], mesh: Mesh, duration: ndarray) -> None:
-    """Walk the waypoints flat out with the shortest dwells; name the first window that cannot be met."""
+    """Walk the waypoints flat out with the shortest dwells; name the first window that cannot be met.
+
+    Raises:
+        Infeasible: There is one.
+        InputError: The whole may take far longer than it needs.
+    """
     clock = 0.0
     for k, point in enumerate(waypoints):
         if k:
@@ -233,6 +247,8 @@ def _check_windows(waypoints: Sequence[Waypoint], mesh: Mesh, duration: ndarray)
                     allowed=f">= {clock:.1f} s",
                 )
             clock = max(clock, point.arrival_s[0] or 0.0)
+            if latest is not None and point is waypoints[-1]:
+                check_running_time(max(latest, clock), clock, field="journey")
         clock += point.dwell_s[0]
         clock = max(clock, point.departure_s[0] or 0.0)
         latest = point.departure_s[1]

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -17,6 +18,7 @@ from metropilot.planning.cone_program import (
     Answer,
     Effort,
     Exchange,
+    NoSolution,
     Programme,
     TimeBound,
     solve,
@@ -192,13 +194,34 @@ def optimal_plan(
         options: See :class:`PlanOptions`.
 
     Raises:
-        Infeasible: The running time is below the minimum, which the message names, or the trainset cannot
-            cover the section at all.
+        Infeasible: The running time is below the minimum, which the message names, the jerk limit is too
+            low for it, or the trainset cannot cover the section at all.
         SolverError: The solver did not finish.
     """
-    return plan_arrays(
-        vehicle_arrays(trainset), track_arrays(section, trainset), time_s, options or PlanOptions()
-    )
+    options = options or PlanOptions()
+    with within_jerk(options):
+        return plan_arrays(vehicle_arrays(trainset), track_arrays(section, trainset), time_s, options)
+
+
+@contextmanager
+def within_jerk(options: PlanOptions) -> Iterator[None]:
+    """Refuse the jerk limit of a plan that exists only without it: the time is checked before.
+
+    Raises:
+        Infeasible: The programme made inside has no solution.
+    """
+    try:
+        yield
+    except NoSolution:
+        if options.jerk_mps3 is None:
+            raise
+        raise Infeasible(
+            "no plan keeps this jerk limit in this time",
+            field="jerk",
+            value=options.jerk_mps3,
+            unit="m/s³",
+            allowed="a higher limit, or more time",
+        ) from None
 
 
 def plan_arrays(
