@@ -1,14 +1,16 @@
 """Bad input: exit code 2, one line that says what and what is allowed, never a traceback."""
 
+import gc
 import inspect
 import json
 import os
+import time
 from importlib import import_module
 from typing import get_args
 
 import pytest
 
-from metropilot.cli import app
+from metropilot.cli import app, catalogue
 
 RUN = ("drive", "yizhuang", "RJ", "WYJ", "--driver", "flat_out")
 BAD = [
@@ -283,6 +285,30 @@ def test_interrupted(metropilot, monkeypatch):
         raise KeyboardInterrupt
 
     monkeypatch.setattr(app, "_run", interrupt)
+    assert metropilot("lines") == (130, "", "metropilot: interrupted\n")
+
+
+def test_interrupted_inside_a_command(metropilot, monkeypatch):
+    def interrupt() -> int:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(catalogue, "lines_command", interrupt)
+    assert metropilot("lines") == (130, "", "metropilot: interrupted\n")
+
+
+def test_interrupted_where_python_drops_it(metropilot, monkeypatch):
+    def interrupt(phase, info):
+        gc.callbacks.remove(interrupt)
+        raise KeyboardInterrupt
+
+    def collect() -> int:
+        gc.callbacks.append(interrupt)
+        gc.collect()
+        for _ in range(500):
+            time.sleep(0.01)
+        return 0
+
+    monkeypatch.setattr(catalogue, "lines_command", collect)
     assert metropilot("lines") == (130, "", "metropilot: interrupted\n")
 
 

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import _thread
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from importlib import import_module
-from typing import Annotated, NoReturn
+from threading import Timer
+from typing import TYPE_CHECKING, Annotated, NoReturn
 
 import typer
 
@@ -15,8 +18,12 @@ from metropilot.cli.complete import words_to_complete
 from metropilot.cli.options import INTERRUPTED, UNIT
 from metropilot.errors import InputError, MetropilotError
 
+if TYPE_CHECKING:
+    from sys import UnraisableHookArgs
+
 SUMMARY = "Compute, learn, compare and explain how a metro train should be driven, against the optimum."
 BAD_INPUT = 2
+AGAIN_S = 0.05
 
 COMMANDS: dict[str, tuple[str, str]] = {
     "drive": ("metropilot.cli.drive", "Drive one run under protection and report it."),
@@ -66,9 +73,10 @@ def main(argv: Sequence[str] | None = None) -> NoReturn:
     """
     arguments = list(sys.argv[1:] if argv is None else argv)
     try:
-        code = _run(arguments)
-    except (KeyboardInterrupt, typer.Abort):
-        code = _fail("interrupted", INTERRUPTED)
+        with _lost_interrupts_again():
+            code = _run(arguments)
+    except (KeyboardInterrupt, typer.Abort) as error:
+        code = _fail(str(error) or "interrupted", INTERRUPTED)
     except InputError as error:
         code = _fail(error.line(), BAD_INPUT, error, as_json="--json" in arguments)
     except typer.TyperException as error:
@@ -84,6 +92,24 @@ def main(argv: Sequence[str] | None = None) -> NoReturn:
         told = f"internal error: {type(error).__name__}: {error} (METROPILOT_DEBUG=1 shows where)"
         code = _fail(told, 1, as_json="--json" in arguments)
     sys.exit(code)
+
+
+@contextmanager
+def _lost_interrupts_again() -> Iterator[None]:
+    """Raise a Ctrl-C again that fell into a callback (of the garbage collector), where Python drops it."""
+    before = sys.unraisablehook
+
+    def hook(lost: UnraisableHookArgs) -> None:
+        if issubclass(lost.exc_type, KeyboardInterrupt):
+            Timer(AGAIN_S, _thread.interrupt_main).start()
+        else:
+            before(lost)
+
+    sys.unraisablehook = hook
+    try:
+        yield
+    finally:
+        sys.unraisablehook = before
 
 
 def _run(arguments: list[str]) -> int:
@@ -111,6 +137,8 @@ def _run(arguments: list[str]) -> int:
         raise _as_option(error, app, wanted) from error
     if not arguments:
         return BAD_INPUT
+    if code == INTERRUPTED:
+        raise KeyboardInterrupt  # which typer makes an exit code
     return code if isinstance(code, int) else 0
 
 

@@ -84,7 +84,10 @@ def campaign_command(
         allowed = "a path ending in .parquet"
         raise InputError("not a file of rows", field="write-rows", value=str(write_rows), allowed=allowed)
     began = perf_counter()
-    progress = run_campaign(campaign, folder, workers, cluster, _Saying())
+    try:
+        progress = run_campaign(campaign, folder, workers, cluster, _Saying())
+    except KeyboardInterrupt:
+        raise typer.Abort("interrupted; the same command resumes it") from None
     collect_parts(folder)
     summary = summarise(folder)
     summary |= call_summary(progress, workers, cluster)

@@ -235,8 +235,6 @@ def learn_and_report(
         except KeyboardInterrupt:
             report.close()
             done, again = f"{report.steps:,} steps".replace(",", " "), shlex.quote(str(folder))
-            sys.stderr.write(
-                f"metropilot: interrupted after {done}; resume with: metropilot learn --resume {again}\n"
-            )
-            return opt.INTERRUPTED
+            told = f"interrupted after {done}; resume with: metropilot learn --resume {again}"
+            raise typer.Abort(told) from None
     return report_done(store, record, as_json=as_json)
