@@ -38,6 +38,16 @@ BAD = [
     ((*RUN, "--arrive", "90"), "S@T"),
     ((*RUN, "--seed", "-1"), "seed"),
     ((*RUN, "--from", "run.toml"), "at once"),
+    ((*RUN, "--trainset", "dkz32:AW2", "--load", "AW3"), "--load: the load is given twice"),
+    ((*RUN, "--trainset", "dkz32@nan,0"), "--trainset: not a dead time and a lag"),
+    (
+        ("drive", "--from", "run.toml", "--out", "a", "--time", "9", "--set", "a=1"),
+        "file, without --time, --set:",
+    ),
+    (
+        ("convoy", "--from", "run.json", "--link-loss", "0.1"),
+        "the run is that of the file, without --link-loss",
+    ),
     (("drive", "--from", "nowhere/run.toml"), "cannot be read"),
     (("convoy", "--from", "nowhere/run.json"), "cannot be read"),
     (("convoy", "yizhuang", "--from", "run.json"), "at once"),

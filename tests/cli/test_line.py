@@ -101,7 +101,7 @@ def test_the_command_prints_and_writes(typed, tmp_path):
             ("yizhuang", "--day", "yizhuang", "--turnround", "1500"),
             "trains.fleet: the timetable needs more trains: 23",
         ),
-        (("lu2023", "--zones", "1", "--feeding", "yizhuang"), "substation off the line: XC"),
+        (("lu2023", "--zones", "1", "--feeding", "yizhuang"), "a feeding of another line: 'yizhuang'"),
     ],
 )
 def test_bad_input_is_one_line(typed, words, told):

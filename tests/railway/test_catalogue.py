@@ -95,7 +95,6 @@ class TestDkz32:
     def test_loads(self, load, mass_t):
         assert load_trainset("dkz32", load).mass_kg == pytest.approx(mass_t * 1000)
         assert load_trainset(f"dkz32:{load}").load == load
-        assert load_trainset("dkz32:AW0", load).load == load
 
     @pytest.mark.parametrize(("kmh", "kn"), [(0, 203), (51, 203), (60, 150.4), (70, 111.6), (80, 86.1)])
     def test_traction(self, kmh, kn):

@@ -87,12 +87,21 @@ def test_a_declared_dead_time_replaces_the_own_one_and_nothing_else():
     assert late.id == "dkz32@0.6,0.4"
 
 
+def test_a_load_given_twice_is_refused_where_it_differs():
+    assert load_trainset("dkz32:AW2", "AW2").load == "AW2"
+    with pytest.raises(InputError, match=r"load: the load is given twice: 'AW3' \(allowed: AW2, or none\)"):
+        load_trainset("dkz32:AW2", "AW3")
+
+
 @pytest.mark.parametrize(
     ("key", "words"),
     [
         ("dkz32@40,0", "dead time out of range.*dkz32@40,0.*0 to 30 s"),
         ("dkz32@0,40", "lag out of range"),
-        ("dkz32@0.5", "unknown trainset.*ID@DELAY,LAG"),
+        ("dkz32@0.5", "not a dead time and a lag: 'dkz32@0.5'.*ID@DELAY,LAG, each 0 to 30 s"),
+        ("dkz32@nan,0", "not a dead time and a lag"),
+        ("dkz32@-1,0:AW2", "not a dead time and a lag"),
+        ("dkz@0.5", "unknown trainset.*ID@DELAY,LAG"),
         ("drawn-1", "unknown trainset.*drawn-SEED-NUMBER"),
         ("drawn-0-1:AW0", "unknown load.*least, most"),
     ],

@@ -1,5 +1,7 @@
 """Feedings read from files."""
 
+from dataclasses import replace
+
 import pytest
 from tests.railway import samples
 
@@ -48,8 +50,11 @@ def test_a_feeding_of_the_catalogue_stands_at_stations_of_its_line(key):
         assert line.station(each.name).position_m == each.position_m
     assert set(found.source) == {"substations", "rails", "trains"}
     found.check_line(line)
+    other = load_line("lu2023")
+    with pytest.raises(InputError, match=r"a feeding of another line: 'yizhuang' \(allowed: lu2023\)"):
+        found.check_line(other)
     with pytest.raises(InputError, match=r"substation off the line: (?!SJZ).*\(allowed: 0 to 1538 m\)"):
-        found.check_line(load_line("lu2023"))
+        replace(found, line_id=other.id).check_line(other)
 
 
 def test_an_unknown_feeding_lists_the_catalogue():

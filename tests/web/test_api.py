@@ -183,7 +183,7 @@ def test_a_day_of_a_line_gives_a_gtfs_feed(server):
         ({"day": "../days/yizhuang"}, "day"),
         ({"line": "lu2023", "zones": 1, "day": "yizhuang"}, "line"),
         ({"feeding": "none"}, "feeding"),
-        ({"line": "lu2023", "zones": 1, "feeding": "yizhuang"}, "substations"),
+        ({"line": "lu2023", "zones": 1, "feeding": "yizhuang"}, "line"),
     ],
 )
 def test_a_line_that_cannot_be_operated_is_refused_at_once(server, body, field):

@@ -41,6 +41,7 @@ OPTIONS = (
 
 @opt.with_run_options("driver", more=OPTIONS, dt_s=0.1)
 def convoy_command(
+    context: Any,  # noqa: ANN401 (typer.Context, as far as typer knows)
     line: Annotated[str | None, opt.LINE] = None,
     origin: Annotated[str | None, opt.ORIGIN] = None,
     destination: Annotated[str | None, opt.DESTINATION] = None,
@@ -72,7 +73,7 @@ def convoy_command(
     Disturbances act on every trainset. Exit code 0: every trainset met every requirement shown; 1: not;
     2: invalid input.
     """
-    opt.check_source(again, "run.json", line, origin, destination)
+    opt.check_source(context, again, "run.json", line, origin, destination)
     if again is not None:
         request = convoy_from_json(again)
         with in_run_json(again):

@@ -24,6 +24,7 @@ EXAMPLES = {
 
 @opt.with_run_options()
 def drive_command(
+    context: Any,  # noqa: ANN401 (typer.Context, as far as typer knows)
     line: Annotated[str | None, opt.LINE] = None,
     origin: Annotated[str | None, opt.ORIGIN] = None,
     destination: Annotated[str | None, opt.DESTINATION] = None,
@@ -40,7 +41,7 @@ def drive_command(
     """
     from metropilot.evaluate import RunSpec, in_run_toml, run_from_toml
 
-    opt.check_source(again, "run.toml", line, origin, destination)
+    opt.check_source(context, again, "run.toml", line, origin, destination)
     if again is not None:
         spec = run_from_toml(again)
         with in_run_toml(again):

@@ -124,8 +124,6 @@ def line_command(
     from metropilot.operation import LineOperation, feed_line, operation_energy, write_operation
     from metropilot.railway import load_feeding, load_line, load_trainset
 
-    source = context.get_parameter_source("headway_s")
-    headway_typed = source is not None and source.name == "COMMANDLINE"
     request = DayRequest(day, timetable, service, driver, runs, scatter, optimise, seed)
     check_day_options(request)
     typed = {"line": line, **given, **vars(request), "feeding": feeding}
@@ -139,7 +137,7 @@ def line_command(
     if day is not None or timetable is not None:
         if sharp:
             raise InputError("a day has no sharp floor", field="sharp", allowed="with a headway")
-        if headway_typed:
+        if opt.is_typed(context, "headway_s"):
             raise InputError("a day has its own headways", field="headway", allowed="without a day")
         del typed["headway_s"]
         return _run_day(operation, request, network, typed, out, as_json=as_json)

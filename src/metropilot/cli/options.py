@@ -42,27 +42,44 @@ COMPLETIONS = {
     "follower": complete.followers,
 }
 POSITIONAL = ("line", "origin", "destination")
+BESIDE_FILE = ("again", "out", "as_json")
+"""Options that may stand beside ``--from``."""
 
 
-def check_source(again: Path | None, file: str, *ends: str | None) -> None:
+def check_source(context: Any, again: Path | None, file: str, *ends: str | None) -> None:  # noqa: ANN401
     """Check that a command was given a line and two stations, or a file whose run it repeats.
 
     Args:
+        context: The command's typer.Context.
         again: The file.
         file: Name that such a file has.
         ends: Line, origin and destination.
 
     Raises:
-        InputError: Neither is given in full, or both are.
+        InputError: Neither is given in full, or both are, or an option of the run beside the file.
     """
     if again is not None:
         if ends[0] is not None:
             raise InputError(f"a line and a {file} cannot be driven at once", field="from", value=str(again))
+        beside = [
+            param.opts[0]
+            for param in context.command.params
+            if is_typed(context, param.name) and param.name not in BESIDE_FILE
+        ]
+        if beside:
+            words = f"the run is that of the file, without {', '.join(beside)}"
+            raise InputError(words, field="from", value=str(again), allowed="--out and --json beside it")
         return
     for name, end in zip(POSITIONAL, ends, strict=True):
         if end is None:
             allowed = f"LINE ORIGIN DESTINATION, or --from {file.upper()}"
             raise InputError("missing", field=name, allowed=allowed)
+
+
+def is_typed(context: Any, name: str) -> bool:  # noqa: ANN401 (typer.Context, as far as typer knows)
+    """Tell if an argument or option of a command was given on the command line."""
+    source = context.get_parameter_source(name)
+    return source is not None and source.name == "COMMANDLINE"
 
 
 def check_both(origin: str | None, destination: str | None) -> None:

@@ -153,14 +153,18 @@ class Feeding(CatalogueRecord):
         return self.conductor_ohm_per_m + self.running_ohm_per_m
 
     def check_line(self, line: Line) -> None:
-        """Refuse a substation or a storage off the line.
+        """Refuse another line than that of the feeding, and a substation or a storage off it.
 
         Args:
             line: Line to feed.
 
         Raises:
-            InputError: Naming it, its position and where the line is.
+            InputError: Another line, or the place off it, its position and where the line is.
         """
+        if self.line_id != line.id:
+            raise InputError(
+                "a feeding of another line", file=self.id, field="line", value=self.line_id, allowed=line.id
+            )
         first_m, last_m = (line.stations[k].position_m for k in (0, -1))
         for kind, places in (("substation", self.substations), ("storage", self.storages)):
             for index, each in enumerate(places):

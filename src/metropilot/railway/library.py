@@ -246,9 +246,9 @@ class TrainsetKey(NamedTuple):
 
 
 NUMBER = r"\d+(?:\.\d*)?"
+LATE = re.compile(rf"({NUMBER}),({NUMBER})")
 KEY = re.compile(
-    rf"(?P<id>.+?\.(?:toml|json)|[\w-]+)(?:@(?P<delay>{NUMBER}),(?P<lag>{NUMBER}))?(?::(?P<load>.*))?",
-    re.IGNORECASE,
+    r"(?P<id>.+?\.(?:toml|json)|[\w-]+)(?:@(?P<late>[^@:/\\]*))?(?::(?P<load>.*))?", re.IGNORECASE
 )
 KEY_WORDS = "drawn-SEED-NUMBER is a random one; ID@DELAY,LAG declares another dead time and lag, s"
 
@@ -260,7 +260,7 @@ def parse_trainset(key: str | Path) -> TrainsetKey:
         key: As :func:`load_trainset` takes it.
 
     Raises:
-        InputError: A dead time or lag that no trainset has.
+        InputError: What stands for a dead time and a lag is none, or one that no trainset has.
     """
     text = str(key)
     match = KEY.fullmatch(text)
@@ -268,11 +268,14 @@ def parse_trainset(key: str | Path) -> TrainsetKey:
     if match is None or not (plain.is_file or plain.is_named):
         return TrainsetKey(text)
     late = None
-    if match["delay"] is not None:
-        late = (float(match["delay"]), float(match["lag"]))
+    if match["late"] is not None:
+        allowed = f"ID@DELAY,LAG, each 0 to {ACTUATION_TIME.high:g} s"
+        numbers = LATE.fullmatch(match["late"])
+        if numbers is None:
+            raise InputError("not a dead time and a lag", field="trainset", value=text, allowed=allowed)
+        late = (float(numbers[1]), float(numbers[2]))
         for name, value in zip(("dead time", "lag"), late, strict=True):
             if not value <= ACTUATION_TIME.high:
-                allowed = f"0 to {ACTUATION_TIME.high:g} s"
                 raise InputError(f"{name} out of range", field="trainset", value=text, allowed=allowed)
     return TrainsetKey(match["id"], late, match["load"] or None)
 
@@ -284,12 +287,14 @@ def load_trainset(id_or_path: str | Path, load: str | None = None) -> Trainset:
         id_or_path: A catalogue id or a path, as for :func:`load_line`, or ``drawn-SEED-NUMBER`` for a random
             one; ``ID:LOAD`` names the load as well, and ``ID@DELAY,LAG`` declares another dead time and lag
             than its own, in seconds.
-        load: The load, e.g. ``AW2``; it wins over one named in ``id_or_path``.
+        load: The load, e.g. ``AW2``, where ``id_or_path`` names no other.
 
     Raises:
-        InputError: No such id or load, or the file is not usable.
+        InputError: No such id or load, two different loads, or the file is not usable.
     """
     key = parse_trainset(id_or_path)
+    if None not in (load, key.load) and load != key.load:
+        raise InputError("the load is given twice", field="load", value=load, allowed=f"{key.load}, or none")
     drawn = DRAWN_NAME.fullmatch(key.id)
     if drawn is not None:
         trainset = drawn_trainset(int(drawn[1]), int(drawn[2]))
