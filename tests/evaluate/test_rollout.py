@@ -7,9 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from metropilot.errors import InputError
+from metropilot.evaluate import checks, kpis_of
 from metropilot.physics import at_rest, track_arrays, vehicle_arrays
 from metropilot.railway import Restriction
 from metropilot.sim import (
+    AbstractDriver,
     Disturbance,
     Outcome,
     Rollout,
@@ -33,6 +36,27 @@ def test_who_never_departs_stalls(request_rj, scripted):
     assert driven.outcome is Outcome.STALLED
     assert driven.trajectory.position_m[-1] == 0.0
     assert 20 < driven.trajectory.time_s[-1] < 21
+
+
+def test_who_never_departs_is_not_early(request_rj, scripted):
+    on_time = checks(kpis_of(drive(request_rj.run(), scripted(lambda _: 0.0)), None))[1]
+    assert (on_time.name, on_time.value, on_time.passed) == ("on time", "stalled", False)
+
+
+@pytest.mark.parametrize("given", [None, "a"])
+def test_a_command_that_is_no_number_names_the_driver(request_rj, given):
+    class Wordy(AbstractDriver):
+        id = "wordy"
+
+        def init(self, run):
+            return None
+
+        def act(self, memory, observation):
+            return given, None
+
+    with pytest.raises(InputError, match=rf"driver: a command that is no number: .wordy: {given!r}") as found:
+        drive(request_rj.run(), Wordy())
+    assert found.value.allowed == "a number from -1 to 1"
 
 
 def test_who_never_brakes_overshoots_and_is_kept_under_the_limit(request_rj, scripted):

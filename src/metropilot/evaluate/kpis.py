@@ -431,7 +431,7 @@ def checks(kpis: Judged) -> tuple[Check, ...]:
         ),
         Check(
             TIME_CHECK,
-            f"{late:+.2f} s",
+            f"{late:+.2f} s" if arrived else kpis.outcome.replace("_", " "),
             f"within {PUNCTUALITY_S:g} s",
             arrived and abs(late) <= PUNCTUALITY_S,
         ),

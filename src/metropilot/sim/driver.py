@@ -6,6 +6,7 @@ from abc import ABC, abstractmethod
 from typing import Any, ClassVar, TypeVar
 
 from metropilot._registry import Registry
+from metropilot.errors import InputError
 from metropilot.sim.run import Observation, Run
 
 Memory = Any
@@ -53,6 +54,20 @@ class AbstractDriver(ABC):
             InputError: The file cannot be used, or its policy is not one for this driver.
         """
         return None
+
+
+def command_share(driver: AbstractDriver, given: object) -> float:
+    """Command of a driver as a number; protection makes one that is not finite a full service brake.
+
+    Raises:
+        InputError: It is no number at all.
+    """
+    try:
+        return float(given)  # pyright: ignore[reportArgumentType]
+    except (TypeError, ValueError):
+        told = f"{driver.id}: {given!r}"
+        allowed = "a number from -1 to 1"
+        raise InputError("a command that is no number", field="driver", value=told, allowed=allowed) from None
 
 
 DriverClass = TypeVar("DriverClass", bound=type[AbstractDriver])
