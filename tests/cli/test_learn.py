@@ -186,7 +186,7 @@ BAD = [
     (("learn", "pp0"), "did you mean ppo"),
     (("learn", "ppo", "--set", "entrpy=1"), "nearest is 'entropy'"),
     (("learn", "ppo", "--set", "entropy"), "KEY=VALUE"),
-    (("learn", "ppo", "--set", "hidden=wide"), "a whole number"),
+    (("learn", "ppo", "--set", "hidden=wide"), "a whole number, or a list of such"),
     (("learn", "ppo", "--set", "gamma=2"), "gamma: out of range"),
     (("learn", "ppo", "--steps", "0"), "steps: out of range"),
     (("learn", "ppo", "--task", "driv"), "did you mean drive"),

@@ -57,6 +57,14 @@ def test_a_feeding_of_the_catalogue_stands_at_stations_of_its_line(key):
         replace(found, line_id=other.id).check_line(other)
 
 
+def test_a_no_load_voltage_no_train_runs_on_is_named(tmp_path):
+    path = tmp_path / "toy.toml"
+    path.write_text(samples.FEEDING.replace("no_load_voltage = 850", "no_load_voltage = 400"))
+    words = r"substations\[0\]\.no_load_voltage: out of order: 400.* V \(allowed: between 500 and 900 V\)"
+    with pytest.raises(InputError, match=words):
+        load_feeding(path)
+
+
 def test_an_unknown_feeding_lists_the_catalogue():
     with pytest.raises(InputError, match=r"did you mean 'yizhuang'.*or a path"):
         load_feeding("yizuang")

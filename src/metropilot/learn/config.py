@@ -446,7 +446,11 @@ def _convert(key: str, value: Any, hint: Any) -> Any:
         return read_schedule(key, value)
     if get_origin(hint) is tuple:
         items = value if isinstance(value, list | tuple) else [value]
-        return tuple(_convert(key, item, get_args(hint)[0]) for item in items)
+        try:
+            return tuple(_convert(key, item, get_args(hint)[0]) for item in items)
+        except InputError as error:
+            allowed = f"{error.allowed}, or a list of such"
+            raise InputError(error.message, field=key, value=error.value, allowed=allowed) from None
     if get_origin(hint) is Literal:
         kind, fits = "one of " + ", ".join(get_args(hint)), value in get_args(hint)
     elif hint is bool:

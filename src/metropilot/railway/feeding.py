@@ -137,6 +137,15 @@ class Feeding(CatalogueRecord):
             ("reduced_below_v", self.reduced_below_v, self.cut_off_v, lowest_v),
             ("squeezed_above_v", self.squeezed_above_v, highest_v, self.max_v),
         )
+        for index, each in enumerate(self.substations):
+            if not self.cut_off_v < each.no_load_v < self.max_v:
+                raise InputError(
+                    "out of order",
+                    field=f"substations[{index}].no_load_voltage",
+                    value=tidy(each.no_load_v),
+                    unit="V",
+                    allowed=f"between {self.cut_off_v:g} and {self.max_v:g} V",
+                )
         for name, value, low, high in order:
             if not low < value < high:
                 raise InputError(
