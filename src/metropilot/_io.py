@@ -26,6 +26,11 @@ MAX_TEXT_BYTES = 32 << 20
 """Most that :func:`read_text` reads: no line, trainset or campaign needs more."""
 DATABASE_TIMEOUT_S = 30.0
 """Longest wait for another process's transaction."""
+RESULTS = (
+    *("trajectory.csv", "comparison.json", "convoy.svg", "line.json", "day.json"),
+    *("checkpoint.safetensors", "history.parquet"),
+)
+"""One file of each kind of results, of those that share a name: ``run.toml``, ``kpis.json``, pictures."""
 LOCK_ATTEMPTS = 20
 LOCK_PAUSE_S = 0.05
 """Asking whether a lock is held takes it for a moment, so one refusal does not mean that it is held."""
@@ -129,12 +134,26 @@ def fill_folder(folder: Path) -> Iterator[Path]:
             shutil.rmtree(scratch, ignore_errors=True)
 
 
-def check_writable(folder: Path) -> None:
+def check_writable(folder: Path, result: str | None = None) -> None:
     """Find out before a long computation whether its results can be written.
 
+    Args:
+        folder: Folder for them.
+        result: Of ``RESULTS``: the file among them that stands for their kind; None: no other kind has
+            files of their names.
+
     Raises:
-        InputError: The folder cannot be made or written.
+        InputError: The folder cannot be made or written, or holds results of another kind.
     """
+    others = [] if result is None else [name for name in RESULTS if (folder / name).exists()]
+    if others and result not in others:
+        raise InputError(
+            "the folder holds results of another kind",
+            file=folder,
+            field="out",
+            value=others[0],
+            allowed="another folder",
+        )
     with fill_folder(folder):
         pass
 

@@ -42,6 +42,8 @@ def test_drive_json_and_folder_agree(typed, tmp_path):
     assert kpis["outcome"] == "arrived"
     header = (tmp_path / "out" / "trajectory.csv").read_text().splitlines()[0]
     assert header.split(",") == list(COLUMNS)
+    told = typed("drive", *RUN, "--driver", "flat_out", "--out", "out").out.partition("Written to out: ")[2]
+    assert set(told.split()) == {path.name for path in (tmp_path / "out").iterdir()}
     again = answer(typed("drive", "--from", "out/run.toml", "--json"), 1)
     del kpis["decision_time_us_median"], again["decision_time_us_median"]
     assert again == kpis

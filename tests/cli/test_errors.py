@@ -57,6 +57,15 @@ BAD = [
     (("compare", "yizhuang", "RJ", "WYJ", "--drivers", ","), "no driver given"),
     (("compare", "yizhuang", "RJ", "WYJ", "--drivers", "flat_out,fast"), "unknown driver"),
     (("compare", "yizhuang", "RJ", "WYJ", "--seeds", "0"), "seeds"),
+    (("compare", "yizhuang", "RJ", "WYJ", "--drivers", "fast"), "--drivers: unknown driver"),
+    (("compare", "yizhuang", "RJ", "WYJ", "--drivers", "pid:kp=nan"), "--drivers kp: out of range"),
+    (("compare", "yizhuang", "RJ", "WYJ", "--drivers", "pid:fast=1"), "--drivers: unknown option of pid"),
+    (("convoy", "yizhuang", "RJ", "WYJ", "--mass-factor", "1", "--mass-factors", "1,1.1"), "--mass-factor: "),
+    (("line", "yizhuang", "--runs", "3"), "--runs: needs a driver: 3 (allowed: --driver ID)"),
+    (("runs", "--folder", "nowhere"), "--folder: no runs in it: 'nowhere'"),
+    (("export", "ppoo"), "no such driver or run, did you mean ppo?: 'ppoo' (allowed: "),
+    ((*RUN, "--out", ""), "--out: empty: ''"),
+    ((*RUN, "--out="), "--out: empty: ''"),
     (("plan", "yizhuang", "RJ"), "both stations"),
     (("plan", "yizhuang", "RJ", "WYJ", "--time", "10"), "minimum running time is"),
     (("plan", "yizhuang", "RJ", "WYJ", "--jerk", "-1"), "jerk"),
@@ -266,6 +275,27 @@ def test_an_unwritable_folder(program, tmp_path):
     assert said.code == 2
     assert said.err.count("\n") == 1
     assert "cannot write" in said.err
+
+
+@pytest.mark.parametrize("command", [RUN, ("compare", "yizhuang", "RJ", "WYJ", "--drivers", "flat_out")])
+def test_a_folder_with_another_kind_of_result(metropilot, tmp_path, command):
+    (tmp_path / "day.json").write_text("{}")
+    said = metropilot(*command, "--out", tmp_path)
+    assert (said.code, said.err.count("\n")) == (2, 1)
+    assert "out: the folder holds results of another kind: 'day.json' (allowed: another folder)" in said.err
+    assert [path.name for path in tmp_path.iterdir()] == ["day.json"]
+
+
+def test_a_folder_without_runs_gets_no_index(metropilot, tmp_path):
+    said = metropilot("runs", "--folder", tmp_path)
+    assert (said.code, said.err.count("\n")) == (2, 1)
+    assert "--folder: no runs in it" in said.err
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_file_for_the_console_names_its_option(metropilot, tmp_path):
+    (tmp_path / "data").write_text("a file")
+    assert "--data: cannot write to the folder" in metropilot("serve", "--data", tmp_path / "data").err
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import _thread
 import os
+import re
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from importlib import import_module
+from itertools import pairwise
 from threading import Timer
 from typing import TYPE_CHECKING, Annotated, NoReturn
 
@@ -24,6 +26,7 @@ if TYPE_CHECKING:
 SUMMARY = "Compute, learn, compare and explain how a metro train should be driven, against the optimum."
 BAD_INPUT = 2
 AGAIN_S = 0.05
+EMPTY = re.compile(r"--[a-z-]+=")
 
 COMMANDS: dict[str, tuple[str, str]] = {
     "drive": ("metropilot.cli.drive", "Drive one run under protection and report it."),
@@ -114,6 +117,7 @@ def _lost_interrupts_again() -> Iterator[None]:
 
 def _run(arguments: list[str]) -> int:
     """Build and run the requested command only."""
+    _check_values(arguments)
     words = arguments or words_to_complete()
     wanted = next((word for word in words if not word.startswith("-")), None)
     app = typer.Typer(
@@ -140,6 +144,18 @@ def _run(arguments: list[str]) -> int:
     if code == INTERRUPTED:
         raise KeyboardInterrupt  # which typer makes an exit code
     return code if isinstance(code, int) else 0
+
+
+def _check_values(arguments: list[str]) -> None:
+    """Refuse an empty argument or value of an option: an empty path would be the current folder.
+
+    Raises:
+        InputError: There is one.
+    """
+    for before, word in pairwise(["", *arguments]):
+        if not word or EMPTY.fullmatch(word):
+            name = word.removesuffix("=") or (before if before.startswith("--") else "argument")
+            raise InputError("empty", field=name, value="", allowed="a value")
 
 
 def _as_option(error: InputError, app: typer.Typer, command: str | None) -> InputError:

@@ -11,7 +11,7 @@ import typer
 from metropilot.cli import complete
 from metropilot.cli import options as opt
 from metropilot.cli.console import console, number, print_json, progress, table
-from metropilot.errors import InputError
+from metropilot.errors import InputError, rename_fields
 
 if TYPE_CHECKING:
     from rich.text import Text
@@ -87,12 +87,14 @@ def compare_and_report(
 ) -> int:
     """Drive, print and write; return the exit code."""
     from metropilot._io import check_writable
-    from metropilot.evaluate import compare, jobs, make_driver, write_comparison
+    from metropilot.evaluate import compare, jobs, make_driver, parse_driver, write_comparison
 
     for name in names:
-        make_driver(name)
+        of_options = {f"set {key}": f"drivers {key}" for key in parse_driver(name)[1]}
+        with rename_fields({"driver": "drivers", "set": "drivers", **of_options}):
+            make_driver(name)
     if out is not None:
-        check_writable(out)
+        check_writable(out, "comparison.json")
     entries = compare(request, progress(jobs(names, request.seed, seeds), "driving"))
     if out is not None:
         write_comparison(out, request, entries)

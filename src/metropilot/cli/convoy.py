@@ -84,6 +84,8 @@ def convoy_command(
     values["head"] |= {"driver": given.pop("head_driver"), **given}
     values["behind"] = behind
     if mass_factors:
+        if opt.is_typed(context, "mass_factor"):
+            raise InputError("given beside --mass-factors", field="mass_factor", allowed="one of them")
         disturbance = {name: given[name] for name in field_specs(Disturbance)}
         values["disturbances"] = [disturbance | {"mass_factor": f} for f in _factors(mass_factors)]
     numbered = (f"disturbances.{k}.mass_factor" for k in range(len(values.get("disturbances", ()))))
@@ -107,7 +109,7 @@ def run_and_report(request: ConvoyRequest, out: Path | None, *, as_json: bool) -
     from metropilot.convoy import convoy_kpis, write_convoy
 
     if out is not None:
-        check_writable(out)
+        check_writable(out, "convoy.svg")
     with show_activity(f"driving {request.count} trainsets with {request.follower}"):
         convoy, follower = request.convoy(), request.make_follower()
         scheduled = request.scheduled_time_s(convoy)

@@ -57,7 +57,7 @@ def run_and_report(request: RunSpec, out: Path | None, *, as_json: bool) -> int:
     from metropilot.sim import drive
 
     if out is not None:
-        check_writable(out)
+        check_writable(out, "trajectory.csv")
     run, driver = request.run(), request.make_driver()
     with show_activity(f"driving {run.section.name} with {request.driver}"):
         drive_ = drive(run, driver)
@@ -71,7 +71,8 @@ def run_and_report(request: RunSpec, out: Path | None, *, as_json: bool) -> int:
     else:
         report(request, kpis)
         if out is not None:
-            console().print(f"Written to {out}: trajectory.csv kpis.json profile.svg profile.png run.toml")
+            files = "trajectory.csv kpis.json explanation.json profile.svg profile.png run.toml"
+            console().print(f"Written to {out}: {files}")
     return 0 if kpis.success else 1
 
 

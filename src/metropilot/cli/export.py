@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from metropilot._registry import did_you_mean
 from metropilot.cli import complete
 from metropilot.cli import options as opt
 from metropilot.cli.console import console, print_json, show_activity, table
@@ -198,5 +199,13 @@ def find_policy(what: str) -> tuple[str, PolicyFile]:
         raise InputError(words, field="export", value=what, allowed="a learned driver")
     if path.is_file() or path.suffix == ".safetensors":
         return path.stem, read_policy(path)
-    store, record = find_run(what)
+    try:
+        store, record = find_run(what)
+    except InputError as error:
+        if error.message != "no such run":
+            raise
+        learned = [name for name in DRIVERS.ids() if shipped_policy(name).is_file()]
+        words = f"no such driver or run{did_you_mean(what, learned)}"
+        allowed = f"{', '.join(learned)}, a run or a policy file"
+        raise InputError(words, field="export", value=what, allowed=allowed) from None
     return record.id, read_policy(policy_path(store.folder(record.id)))

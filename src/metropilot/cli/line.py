@@ -132,9 +132,10 @@ def line_command(
     network = None if feeding is None else load_feeding(feeding)
     if network is not None:
         network.check_line(operation.line)
+    of_day = day is not None or timetable is not None
     if out is not None:
-        check_writable(out)
-    if day is not None or timetable is not None:
+        check_writable(out, "day.json" if of_day else "line.json")
+    if of_day:
         if sharp:
             raise InputError("a day has no sharp floor", field="sharp", allowed="with a headway")
         if opt.is_typed(context, "headway_s"):

@@ -56,6 +56,8 @@ def check_day_options(request: DayRequest) -> None:
         raise InputError("a timetable that is given is not searched", field="optimise", allowed="--day FILE")
     if request.service is not None and request.timetable is None:
         raise InputError("needs a timetable", field="service", allowed="--timetable FOLDER|FILE.zip")
+    if request.driver is None and request.runs != 1:
+        raise InputError("needs a driver", field="runs", value=request.runs, allowed="--driver ID")
     if request.driver is not None:
         from metropilot.evaluate import make_driver
 

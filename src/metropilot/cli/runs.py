@@ -9,6 +9,7 @@ import typer
 
 from metropilot.cli import options as opt
 from metropilot.cli.console import console, print_json, table
+from metropilot.errors import InputError
 
 EXAMPLES = {
     "runs": (
@@ -37,6 +38,9 @@ def runs_command(
     from metropilot.cli.learn_report import clock, figure, run_as_json
     from metropilot.learn import RunStore
 
+    if folder is not None and not any(folder.glob("*/run.toml")):
+        allowed = "a folder with the folders of runs"
+        raise InputError("no runs in it", field="folder", value=str(folder), allowed=allowed)
     store = RunStore(folder or runs_folder())
     found = store.find(" ".join(words or ()), most)
     if as_json:

@@ -97,7 +97,10 @@ def serve_command(
     check_free(settings.host, settings.port)
     from metropilot._io import check_writable
 
-    check_writable(settings.data)
+    try:
+        check_writable(settings.data)
+    except InputError as error:
+        raise error.at(field="--data") from None
     query = "/?token=…" if settings.token or any(user.token for user in settings.users) else "/"
     shown = f"[{host}]" if ":" in host else host
     url = f"http://{shown}:{settings.port}"
