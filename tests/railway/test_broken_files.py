@@ -150,6 +150,7 @@ TRAINSET = [
     ),
     ("traction = 88", "traction = 880", "energy.traction", "880", "%", "> 0 % and <= 100 %"),
     ("reaction = 0.3", "reaction = -0.3", "protection.reaction", "-0.3", "s", "0 to 30 s"),
+    ("[-100, 0, 100]", "[-100, 100, 0]", "notches.levels.three[2]", "0", "kN", "> 100 kN"),
     ("[-100, 0, 100]", "[]", "notches.levels.three", None, None, "forces"),
 ]
 JOURNEY = [

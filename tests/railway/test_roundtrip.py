@@ -162,13 +162,17 @@ def trainsets(draw):
         safe_braking=SafeBraking(draw(st.floats(0.1, 3.0)), draw(positive(3.0)), 0.5, 0.25, draw(bound)),
         couplers=Couplers(draw(st.integers(1, 12)), draw(positive(1e9)), draw(not_negative)),
         notches=draw(
-            st.dictionaries(words, st.lists(st.floats(-1e6, 1e6), min_size=1, max_size=3).map(tuple))
+            st.dictionaries(words, st.sets(st.integers(-(10**6), 10**6), min_size=1, max_size=3).map(_levels))
         ),
         gravity_mps2=draw(st.floats(9.7, 9.9)),
         source=draw(sources),
         notes=tuple(draw(st.lists(words, max_size=2))),
         extra=draw(extras),
     )
+
+
+def _levels(forces):
+    return tuple(float(force) for force in sorted(forces))
 
 
 @st.composite

@@ -213,6 +213,7 @@ def _notches(block: Node | None) -> dict[str, tuple[float, ...]]:
             raise InputError(
                 "needs at least one level", file=table.file, field=table.at(name), allowed="forces"
             )
+        table.check_increasing(levels, f"{name}[{{}}]", of)
         result[name] = levels
     return result
 
