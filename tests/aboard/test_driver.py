@@ -1,8 +1,10 @@
 """A driver in C, its protection included, drives as it does in Python, hostile commands and all."""
 
 import ctypes
+import json
 import shutil
 import subprocess
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -255,3 +257,23 @@ def test_generalist_has_a_form_in_c(trainset):
     program = trace_driver("generalist", policy, [section], load_trainset(trainset), number="double")
     texts, _ = driver_texts(program)
     assert "generalist_step(" in texts["generalist.c"]
+
+
+def test_no_name_leaves_its_comment_string_or_element(sources):
+    program, _, _ = sources
+    evil = 'x\nall: ; touch pwned\n*/ $(touch pwned) \\ "; </script><b>&\u2028'
+    section = program.sections[0]
+    station = replace(section.origin, code=evil, name=evil)
+    named = replace(
+        program,
+        name=evil,
+        trainset=replace(program.trainset, id=evil),
+        sections=(replace(section, line_id=evil, origin=station), *program.sections[1:]),
+    )
+    (usual, _), (texts, _) = (driver_texts(each, door=True) for each in (program, named))
+    assert "?/ ?(touch pwned)" in texts["Makefile"]
+    for text, like in zip(texts.values(), usual.values(), strict=True):
+        # json.dumps escapes the quotes of a station's name, which stands in a string of JavaScript
+        told = text.replace(json.dumps(evil).replace("<", "\\u003c"), '""')
+        for mark in ("\n", "/*", "$(", "</", "<b", "\u2028", "&", "\\"):
+            assert told.count(mark) == like.count(mark), (mark, text)

@@ -48,6 +48,7 @@ words = st.text(st.characters(exclude_categories=["Cs"]), max_size=12)
 names = words.filter(lambda text: text.strip())
 sources = st.dictionaries(names, names, max_size=3)
 scalars = st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False, allow_infinity=False) | words
+ids = st.from_regex(r"\w[\w.@,+-]{0,11}", fullmatch=True)
 extras = st.dictionaries(words, st.lists(scalars, max_size=3) | scalars, max_size=3)
 codes = st.text("ABCDEFGHIJKLMNOPQRSTUVWXYZ", min_size=1, max_size=4)
 
@@ -79,7 +80,7 @@ def lines(draw):
     times = st.lists(positive(9999.0), min_size=count - 1, max_size=count - 1).map(tuple)
     curve_count = draw(st.integers(0, 3))
     return Line(
-        id=draw(names),
+        id=draw(ids),
         name=draw(names),
         stations=tuple(
             Station(code, draw(names), at, draw(st.just("") | names), draw(st.just("") | names))
@@ -137,7 +138,7 @@ def trainsets(draw):
     bound = st.just(math.inf) | st.floats(0.1, 3.0)
     not_negative = st.floats(0.0, 1e5)
     return Trainset(
-        id=draw(names),
+        id=draw(ids),
         name=draw(names),
         loads=loads,
         load=next(name for name in loads if name.strip()),
@@ -194,7 +195,7 @@ def journeys(draw):
             TimingPoint(-p.position_m, *(p.earliest_s, p.latest_s, None, p.fastest_mps)) for p in points
         ]
     return Journey(
-        draw(names), draw(st.just("") | names), tuple(points), source=draw(sources), extra=draw(extras)
+        draw(ids), draw(st.just("") | names), tuple(points), source=draw(sources), extra=draw(extras)
     )
 
 

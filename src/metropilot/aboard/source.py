@@ -107,9 +107,9 @@ def driver_texts(program: AboardProgram, *, door: bool = False) -> tuple[dict[st
         "NAME": name,
         "GUARD": name.upper(),
         "REAL": program.number,
-        "TITLE": f"Driver {program.name} under protection",
+        "TITLE": _plain(f"Driver {program.name} under protection"),
         "ABOUT": _about(program),
-        "TRAINSET": program.trainset.id,
+        "TRAINSET": _plain(program.trainset.id),
         "PERIOD": f"{program.bounds.dt_s:g}",
         "COUNT": str(len(program.sections)),
         "TOLERANCE": TOLERANCES[program.number],
@@ -165,7 +165,12 @@ def _about(program: AboardProgram) -> str:
         "and no error of odometry.",
         f"metropilot {known['metropilot']}, commit {known.get('commit', 'unknown')[:10]}.",
     )
-    return "\n * ".join(lines)
+    return "\n * ".join(map(_plain, lines))
+
+
+def _plain(text: str) -> str:
+    """A text that ends no comment, string or element, in C, make, JavaScript or HTML; ``?`` for the rest."""
+    return re.sub(r"[^\w .,:;@+()/-]", "?", text, flags=re.ASCII)
 
 
 def _section_name(section: Section) -> str:
@@ -175,7 +180,7 @@ def _section_name(section: Section) -> str:
 def _section_row(section: Section, dtype: np.dtype) -> str:
     """Initialiser of a section: stations, length, scheduled running time."""
     numbers = (dtype.type(section.length_m), dtype.type(section.planned_time_s or 0.0))
-    stations = (re.sub(r'[^ -~]|["\\]', "?", each.code) for each in (section.origin, section.destination))
+    stations = (_plain(each.code) for each in (section.origin, section.destination))
     words = [*(f'"{each}"' for each in stations), *(literal(each, dtype) for each in numbers)]
     return f"    {{{', '.join(words)}}},"
 
@@ -188,7 +193,7 @@ def _section_script(section: Section) -> str:
         "length_m": section.length_m,
         "scheduled_s": section.planned_time_s or 0.0,
     }
-    return f"  {json.dumps(values)},"
+    return f"  {json.dumps(values)},".replace("<", "\\u003c")
 
 
 def _c_type(value: Any, dtype: np.dtype) -> str:  # noqa: ANN401 (a number or an array)

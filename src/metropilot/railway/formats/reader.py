@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import math
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -27,6 +28,8 @@ ACTUATION_TIME = Range(0.0, 30.0)
 """Dead times, lags and build-up times: longer ones are a wrong unit, not a railway."""
 EMERGENCY_RATE = Range(0.1, 30.0)
 EMERGENCY_JERK = Range(0.05, infinite=True)
+IDENTIFIER = re.compile(r"\w[\w.@,+-]*")
+CODE = re.compile(r"(?!.*\*/)[^\"\\\x00-\x1f\x7f-\x9f\u2028\u2029]+")
 
 
 @dataclass(frozen=True)
@@ -150,6 +153,21 @@ class Node:
         if not value.strip() and value != default:
             raise self.fail("must not be empty", key, allowed=allowed)
         return _encodable(value, self, key)
+
+    def identifier(self, key: str, default: str | None = None) -> str:
+        """An id, which becomes part of paths, commands and sources."""
+        value = self.text(key, default)
+        if not IDENTIFIER.fullmatch(value):
+            raise self.fail("not an id", key, value, "letters, digits and . _ - @ , +")
+        return value
+
+    def code(self, key: str) -> str:
+        """Code of a station, which becomes part of sources."""
+        value = self.text(key)
+        if not CODE.fullmatch(value):
+            allowed = "text without quotation marks, backslashes, */ and control characters"
+            raise self.fail("not an id", key, value, allowed)
+        return value
 
     def texts(self, key: str) -> tuple[str, ...]:
         """A list of texts, empty where the key is missing."""

@@ -54,7 +54,7 @@ class Document:
         self.source: dict[str, str] = {}
         root.get("kind")
         self.header: dict[str, Any] = {
-            "id": root.text("id"),
+            "id": root.identifier("id"),
             "notes": root.texts("notes"),
             "unused": root.texts("unused"),
             "extra": self._extra(),
@@ -179,7 +179,7 @@ def _stations(block: Node) -> tuple[Station, ...]:
         node = Node(entry, block.file, block.at(where))
         stations.append(
             Station(
-                code=node.text("code"),
+                code=node.code("code"),
                 name=node.text("name"),
                 position_m=node.number(
                     node.require("position", f"a number of {of.name}"), "position", of, ANY

@@ -9,6 +9,7 @@ Source: TTOBench v1.5, Kouzoupis et al. 2023, doi 10.1007/s43069-023-00248-x.
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping
 from typing import Any
 
@@ -97,7 +98,8 @@ class Metadata:
 
     def __init__(self, root: Node, stem: str) -> None:
         node = root.optional("metadata")
-        self.id = node.text("id", stem) if node else stem
+        usual = re.sub(r"^\W|[^\w.@,+-]", "_", stem)
+        self.id = node.identifier("id", usual) if node else usual
         self.track = node.text("associated track", "") if node else ""
         self.rest: dict[str, Any] = leftovers(node) if node else {}
         cited = [str(self.rest.get(k, "")) for k in ("library version", "created by", "license")]
