@@ -206,6 +206,20 @@ def test_an_archive_that_cannot_be_used_is_refused_in_one_line(server, entries, 
     assert not list(server.data.parent.rglob("evil*"))
 
 
+@pytest.mark.parametrize(
+    ("kind", "result"),
+    [
+        ("live", {"kpis": {}, "success": True, "time_s": 1.0, "speeds": []}),
+        ("live", {"kpis": {"trainsets": 3}, "success": True, "time_s": 1.0, "speeds": []}),
+    ],
+)
+def test_a_result_without_what_the_list_of_runs_shows_is_refused(server, kind, result):
+    job = {**JOB, "kind": kind, "id": "live-1", "request": {"trainsets": 2, "follower": "follow_plan"}}
+    entries = [("project.json", index(jobs=[job])), ("jobs/live-1/result.json", json.dumps(result))]
+    error = send(server, pack(entries), 422)["error"]
+    assert (error["file"], error["field"]) == ("project.json", "jobs[0].result")
+
+
 def test_a_bad_line_in_an_archive_leaves_nothing_behind(server, filled):
     content = filled[3]
     files = {}

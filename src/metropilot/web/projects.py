@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import re
 import secrets
@@ -49,7 +50,7 @@ from metropilot.web.schemas.responses import (
     StudyResult,
 )
 from metropilot.web.service import SUFFIXES, Service, live_kind, request_values
-from metropilot.web.store import OVER, JobRow, JobStore, ProjectRow, new_job_id, new_upload_id
+from metropilot.web.store import OVER, JobRow, JobStore, ProjectRow, new_job_id, new_upload_id, summarise
 from metropilot.web.work import campaigns, learning
 from metropilot.web.work.drives import FILES
 
@@ -208,9 +209,9 @@ async def read_archive(service: Service, content: bytes) -> ProjectRow:
         Refused: A viewer imports it (403), or the user keeps too much, or would with it (429).
     """
     service.check_limits()
-    files = _unpack(content, service.settings.archive_bytes)
+    files = await asyncio.to_thread(_unpack, content, service.settings.archive_bytes)
     try:
-        index = json.loads(files.pop(INDEX))
+        index = await asyncio.to_thread(json.loads, files.pop(INDEX))
         name, notes, jobs, uploads = (index[key] for key in ("name", "notes", "jobs", "uploads"))
         if index["format"] != FORMAT or not isinstance(name, str) or not isinstance(notes, str):
             raise ValueError("another format")
@@ -223,19 +224,15 @@ async def read_archive(service: Service, content: bytes) -> ProjectRow:
         found = _rows(jobs, "jobs")
         runs = [run for each in found if RUN.fullmatch(run := str(each.get("run")))]
         ids |= {run: _new_run_id(service.root, run) for run in runs}
-        made = [_take_job(each, files, ids, f"jobs[{k}]") for k, each in enumerate(found)]
+        made = [
+            await asyncio.to_thread(_take_job, each, files, ids, f"jobs[{k}]") for k, each in enumerate(found)
+        ]
         paths = {each.key: str(service.root / "uploads" / each.versions[-1][1]) for each in sent}
         keys = _new_job_ids(made)
         for key, job in keys.items():
             places.append(service.root / "runs" / job.run if job.run else service.root / "jobs" / key)
             await _write_job(service, job, places[-1], ids, paths)
-        size = sum(each.size for each in (*sent, *made))
-        with service.store.together(partial(service.check_limits, size=size)) as store:
-            row = store.new_project((name.strip() or "imported")[:80], notes[:20_000])
-            for upload in sent:
-                upload.keep(store, row.id)
-            for key, job in keys.items():
-                job.keep(store, key, row.id)
+        row = await asyncio.to_thread(_keep, service, (name, notes), sent, keys)
     except BaseException:
         for place in places:
             place.unlink(missing_ok=True) if place.is_file() else shutil.rmtree(place, ignore_errors=True)
@@ -243,6 +240,23 @@ async def read_archive(service: Service, content: bytes) -> ProjectRow:
     for job in made:
         if job.run:
             learning.keep_run(service.root, job.run)
+    return row
+
+
+def _keep(
+    service: Service,
+    about: tuple[str, str],
+    uploads: Sequence[ArchivedUpload],
+    jobs: Mapping[str, ArchivedJob],
+) -> ProjectRow:
+    """Add a project, by name and notes, with its uploads and jobs in one transaction."""
+    size = sum(each.size for each in (*uploads, *jobs.values()))
+    with service.store.together(partial(service.check_limits, size=size)) as store:
+        row = store.new_project((about[0].strip() or "imported")[:80], about[1][:20_000])
+        for upload in uploads:
+            upload.keep(store, row.id)
+        for key, job in jobs.items():
+            job.keep(store, key, row.id)
     return row
 
 
@@ -441,6 +455,8 @@ def _take_job(told: dict[str, Any], files: dict[str, bytes], ids: dict[str, str]
             result.model_validate(found)
         elif found is not None and not set(found) >= CONVOY_RESULT:
             raise ValueError("not the result of a convoy")
+        if found is not None:
+            _check_summary(found, f"{field}.result")
         return ArchivedJob(
             kind=kind,
             status=status,
@@ -454,9 +470,24 @@ def _take_job(told: dict[str, Any], files: dict[str, bytes], ids: dict[str, str]
             files={name: data for name, data in kept.items() if _is_file_of(kind, name)},
             run=run,
         )
+    except InputError:
+        raise
     except (ValidationError, ValueError, TypeError, RecursionError) as error:
         words = str(error.errors()[0]["msg"]) if isinstance(error, ValidationError) else str(error)
         raise InputError(f"not usable: {words[:120]}", file=INDEX, field=field, value=key[:80]) from None
+
+
+def _check_summary(result: object, field: str) -> None:
+    """Refuse a result of which the list of runs could show nothing.
+
+    Raises:
+        InputError: It lacks something that is shown, or is of another form.
+    """
+    try:
+        summarise(result)
+    except (LookupError, TypeError, AttributeError, ArithmeticError, ValueError) as error:
+        words = f"not usable: {type(error).__name__} {str(error)[:80]}"
+        raise InputError(words, file=INDEX, field=field) from None
 
 
 def _new_job_ids(jobs: Sequence[ArchivedJob]) -> dict[str, ArchivedJob]:
@@ -486,7 +517,7 @@ async def _write_job(
     Raises:
         InputError: A file of it cannot be used.
     """
-    job.write(folder)
+    await asyncio.to_thread(job.write, folder)
     try:
         if job.run:
             resumable = job.status != "done"
