@@ -17,10 +17,11 @@ from metropilot.operation import OperationOptions, SlowSection, TrainHold
 from metropilot.railway import Restriction
 from metropilot.sim import Disturbance, TimetableUpdate
 from metropilot.units import KINDS
-from metropilot.web.pages import form
+from metropilot.web.live.session import Session
 from metropilot.web.pages.compare import outcome
 from metropilot.web.pages.convoy import ConvoyPage, member_outcome
 from metropilot.web.pages.drive import DrivePage
+from metropilot.web.pages.fit import FitPage
 from metropilot.web.pages.form import describe_range, validate
 from metropilot.web.pages.frame import frame
 from metropilot.web.pages.numbers import NumberField
@@ -33,7 +34,15 @@ from metropilot.web.pages.plots import (
     front_figure,
 )
 from metropilot.web.pages.runs import RunList
-from metropilot.web.schemas.requests import ConvoyIn, DriveIn, JourneyIn, LearnIn, NewLink
+from metropilot.web.schemas.requests import (
+    ConvoyIn,
+    DriveIn,
+    FitIn,
+    JourneyIn,
+    LearnIn,
+    NewLink,
+    OperationIn,
+)
 from metropilot.web.service import Service
 from metropilot.web.settings import Settings
 
@@ -71,14 +80,13 @@ def test_what_is_not_allowed_is_refused_in_one_line(kind, values, scales, told):
 
 def test_a_form_shows_what_is_declared(monkeypatch, tmp_path):
     """Every field has the label, unit, step, range and default of the declaration that also checks it."""
-    shown = {}
+    shown, make = {}, NumberField.__init__
 
-    class Recorded(NumberField):
-        def __init__(self, label, **more):
-            super().__init__(label=label, **more)
-            assert shown.setdefault(label, self) is self
+    def record(self, label, **more):
+        make(self, label=label, **more)
+        assert shown.setdefault(label, self) is self
 
-    monkeypatch.setattr(form, "NumberField", Recorded)
+    monkeypatch.setattr(NumberField, "__init__", record)
 
     async def build():
         core.loop = asyncio.get_running_loop()
@@ -242,6 +250,63 @@ def test_a_resumed_run_is_opened_though_the_list_was_drawn_anew(tmp_path, monkey
 
     asyncio.run(resume())
     assert opened == ["/?run=live-1"]
+
+
+def on_page(story, tmp_path):
+    """Result of a coroutine of a service, on a page."""
+
+    async def tell():
+        core.loop = asyncio.get_running_loop()
+        scope = {"type": "http", "method": "GET", "path": "/", "headers": [], "query_string": b""}
+        with Client(page("/shown"), request=Request(scope)):
+            return await story(Service(Settings(tmp_path)))
+
+    return asyncio.run(tell())
+
+
+@pytest.mark.parametrize("kind", [ConvoyPage, DrivePage])
+def test_a_run_that_waits_is_stopped_and_takes_another_pace(kind, tmp_path):
+    async def story(service):
+        shown = kind(service, None)
+        shown.build()
+        told = []
+        session = Session("live-1", {"pace": 20.0}, {}, lambda *words: told.append(words[1:]), lambda: None)
+        service.sessions["live-1"], shown.run = session, "live-1"
+        await shown.change_pace()
+        await shown.stop()
+        return told
+
+    assert on_page(story, tmp_path) == [("end", {"status": "stopped", "error": None})]
+
+
+def test_a_job_interrupted_by_a_restart_is_not_waited_for(tmp_path):
+    async def story(service):
+        fit = service.store.new_job("fit", FitIn(logs=["upload-00000000"]).model_dump())
+        line = service.store.new_job("line", OperationIn().model_dump())
+        for job in (fit, line):
+            service.store.update(job, status="interrupted")
+        fitted, shown = FitPage(service, fit, None), OperationPage(service, line)
+        fitted.build()
+        fitted.look()
+        shown.build()
+        shown.load()
+        return fitted.going, fitted.go.enabled, shown.jobs, shown.status.text
+
+    assert on_page(story, tmp_path) == (False, True, [], "")
+
+
+def test_a_job_that_was_deleted_elsewhere_is_told_once(tmp_path):
+    async def story(service):
+        shown = OperationPage(service, None)
+        shown.build()
+        shown.load()
+        shown.jobs.append("line-1")
+        shown.look()
+        return shown.jobs, shown.problem.label.text
+
+    jobs, told = on_page(story, tmp_path)
+    assert jobs == []
+    assert "no such job" in told
 
 
 def test_a_drive_on_time_that_failed_something_else_is_not_called_late():

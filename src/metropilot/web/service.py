@@ -6,10 +6,12 @@ import asyncio
 import secrets
 import shutil
 import sqlite3
+from collections.abc import Callable
 from concurrent.futures import Future
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
+from traceback import print_exception
 from typing import TYPE_CHECKING, Any, Literal
 
 from pydantic import BaseModel
@@ -52,6 +54,8 @@ if TYPE_CHECKING:
     from metropilot.web.live.line import RunningRequest
 
 SUFFIXES = (".toml", ".json", ".safetensors", LOG_SUFFIX)
+WATCH_S = 10.0
+"""Time between two looks at live runs that nobody watches or that wait."""
 SAVE_STEPS = 25
 """Control periods between two writes of a live run's progress; at most these are lost with the server."""
 ABANDONED_S = 120.0
@@ -517,8 +521,9 @@ class Service:
                 self._check_driver(request)
             kind = "compare" if isinstance(body, CompareIn) else "drive"
         values = request_values(body)
+        work = self._work(kind, values, None)
         job = self.store.new_job(kind, values, self.check_room)
-        self._schedule(job, kind, values, None)
+        self._schedule(job, kind, *work)
         return job
 
     def stop(self, job: str) -> None:
@@ -542,40 +547,46 @@ class Service:
         """Resume a job that was interrupted, stopped or failed.
 
         Raises:
+            InputError: Something that its request names is gone; the job stays as it is.
             Refused: The job waits, runs or is done (409), or is a live run (409).
         """
         row = self.store.job(job)
         if row.kind == "live" or row.status in {"queued", "running", "done"}:
             raise Refused(f"a job that is {row.status} cannot be resumed", 409, field="id", value=job)
+        work = self._work(row.kind, row.request, row.run)
         limit = partial(self.check_limits, jobs=1)
-        self.store.update(job, limit, status="queued", words="", stop=0, error=None)
-        self._schedule(job, row.kind, row.request, row.run)
+        if not self.store.update(job, limit, (row.status,), status="queued", words="", stop=0, error=None):
+            raise Refused("a job that is queued cannot be resumed", 409, field="id", value=job)
+        self._schedule(job, row.kind, *work)
 
-    def _schedule(self, job: str, kind: str, body: dict[str, Any], run: str | None) -> None:
-        root = str(self.root)
+    def _work(self, kind: str, body: dict[str, Any], run: str | None) -> tuple[Any, ...]:
+        """Function of a job's worker and its arguments after folder and id.
+
+        Raises:
+            InputError: Something that the request names does not exist.
+        """
         if kind == "learn":
-            future = self.pools.submit(kind, learning.learn_job, root, job, body, run)
+            work = learning.learn_job, body, run
         elif kind == "study":
-            future = self.pools.submit(kind, learning.study_job, root, job, body)
+            work = learning.study_job, body
         elif kind == "campaign":
-            values = self.campaign_values(CampaignIn.model_validate(body))
-            future = self.pools.submit(kind, campaigns.campaign_job, root, job, values)
+            work = campaigns.campaign_job, self.campaign_values(CampaignIn.model_validate(body))
         elif kind == "export":
-            wanted = self.export_request(ExportIn.model_validate(body))
-            future = self.pools.submit(kind, exports.export_job, root, job, wanted)
+            work = exports.export_job, self.export_request(ExportIn.model_validate(body))
         elif kind == "fit":
-            fitted = self.fit_request(FitIn.model_validate(body))
-            future = self.pools.submit(kind, fits.fit_job, root, job, fitted)
+            work = fits.fit_job, self.fit_request(FitIn.model_validate(body))
         elif kind == "line":
-            operation = self.operation_request(OperationIn.model_validate(body))
-            future = self.pools.submit(kind, operations.line_job, root, job, operation)
+            work = operations.line_job, self.operation_request(OperationIn.model_validate(body))
         elif kind == "compare":
             compared = CompareIn.model_validate(body)
             what = (self.run_spec(compared), self._drivers_of(compared), compared.seeds)
-            future = self.pools.submit(kind, drives.compare_job, root, job, *what)
+            work = drives.compare_job, *what
         else:
-            request = self.run_spec(DriveIn.model_validate(body))
-            future = self.pools.submit(kind, drives.drive_job, root, job, request)
+            work = drives.drive_job, self.run_spec(DriveIn.model_validate(body))
+        return work
+
+    def _schedule(self, job: str, kind: str, function: Callable[..., Any], *values: object) -> None:
+        future = self.pools.submit(kind, function, str(self.root), job, *values)
         self.futures[job] = future
         future.add_done_callback(lambda done: self._store_result(job, kind, done))
 
@@ -673,7 +684,9 @@ class Service:
             job = self.store.new_job("live", body.model_dump(), partial(self.check_limits, jobs=1))
             order |= {"journal": [], "step": 0}
         else:
-            self.store.update(job, partial(self.check_limits, jobs=1), status="queued", words="", error=None)
+            limit = partial(self.check_limits, jobs=1)
+            if not self.store.update(job, limit, RESUMABLE, status="queued", words="", error=None):
+                raise Refused("a live that is queued cannot be resumed", 409, field="id", value=job)
             order |= {"journal": self.store.journal(job), "step": int(self.store.job(job).progress)}
         order["job"] = job
         session = Session(
@@ -819,6 +832,9 @@ class Service:
     async def _watch_live(self) -> None:
         """Stop abandoned live runs, and start those that wait, for as long as the server runs."""
         while True:
-            await asyncio.sleep(10.0)
-            await self.stop_abandoned()
-            self._start_queued()
+            await asyncio.sleep(WATCH_S)
+            try:
+                await self.stop_abandoned()
+                self._start_queued()
+            except Exception as error:  # noqa: BLE001 (a watch that died would leave runs in the queue)
+                print_exception(error)

@@ -193,13 +193,19 @@ class JobStore:
             database.execute(sql, values)
         return job
 
-    def update(self, job: str, check: Check | None = None, /, **changes: object) -> None:
+    def update(
+        self, job: str, check: Check | None = None, only: Sequence[str] = (), /, **changes: object
+    ) -> bool:
         """Change columns of a job; ``error`` and ``result`` become JSON, a result is summarised.
 
         Args:
             job: Id of the job.
             check: Refuses the change.
+            only: Statuses in which it is changed; empty: any.
             changes: Values of the columns.
+
+        Returns:
+            True if the job was changed.
         """
         if changes.get("result") is not None:
             changes["summary"] = summarise(changes["result"])
@@ -209,7 +215,13 @@ class JobStore:
         ]
         names = ", ".join(f"{name} = ?" for name in changes)
         with self._change(check) as database:
-            database.execute(f"UPDATE jobs SET {names} WHERE id = ?", (*values, job))
+            where = f" AND status IN ({', '.join('?' * len(only))})" if only else ""
+            sql = f"UPDATE jobs SET {names} WHERE id = ?{where}"
+            return database.execute(sql, (*values, job, *only)).rowcount > 0
+
+    def begin(self, job: str, words: str, progress: float = 0.0) -> None:
+        """Mark a job as running, unless it was stopped while it waited."""
+        self.update(job, None, ("queued",), status="running", words=words, progress=progress)
 
     def job(self, job: str) -> JobRow:
         """A job.
@@ -247,12 +259,12 @@ class JobStore:
             project: Project of the jobs; None: any or none.
         """
         by, way = SORTS[sort], "ASC" if ascending else "DESC"
-        like = "%" + text.replace("\\", "\\\\").replace("%", "\\%").replace("_", "\\_") + "%"
         where = "(?1 IS NULL OR kind = ?1) AND (?2 IS NULL OR status = ?2)"
         where += " AND (?6 IS NULL OR project = ?6)"
-        where += " AND (id || ' ' || name || ' ' || coalesce(user, '') || ' ' || request) LIKE ?3 ESCAPE '\\'"
+        told = "lower(id || ' ' || name || ' ' || coalesce(user, '') || ' ' || request)"
+        where += f" AND instr({told}, lower(?3)) > 0"
         order = f"{by} IS NULL, {by} {way}, created DESC, id DESC LIMIT ?4 OFFSET ?5"
-        return self._jobs(f"WHERE {where} ORDER BY {order}", (kind, status, like, limit, offset, project))
+        return self._jobs(f"WHERE {where} ORDER BY {order}", (kind, status, text, limit, offset, project))
 
     def forget_job(self, job: str) -> None:
         """Remove the rows of a job."""

@@ -16,6 +16,7 @@ from metropilot.drivers import DRIVERS
 from metropilot.errors import InputError, MetropilotError
 from metropilot.sim import Disturbance
 from metropilot.web import catalogue, evidence
+from metropilot.web.live.session import GOING
 from metropilot.web.pages.form import validate
 from metropilot.web.pages.frame import ActionButton, Problem, card, frame, links, prop_of
 from metropilot.web.pages.numbers import NumberField, parse_number, split_list
@@ -27,7 +28,6 @@ from metropilot.web.words.language import N_, _, translate_each
 from metropilot.web.words.said import retell
 
 EVERY_S = 1.0
-GOING = ("queued", "running")
 SHOWN_ROWS = 300
 """Rows shown at once."""
 CELLS = (

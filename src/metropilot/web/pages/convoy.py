@@ -12,6 +12,7 @@ from metropilot.errors import MetropilotError
 from metropilot.units import KINDS, KMH_PER_MPS
 from metropilot.web import catalogue
 from metropilot.web.errors import Refused
+from metropilot.web.live.session import Session
 from metropilot.web.pages.drive import checks_table
 from metropilot.web.pages.form import (
     DisturbanceForm,
@@ -209,7 +210,7 @@ class ConvoyPage:
         count, gap = int(self.count.number or 2), self.gap.number or 0.0
         self.strip.content = section_strip(self.form.section, 0.0, count * (length + gap))
 
-    def live(self) -> Any:  # noqa: ANN401 (a session or None)
+    def live(self) -> Session | None:
         """Session of the convoy while it runs, else None."""
         session = self.service.sessions.get(self.run or "")
         return session if session is not None and not session.over else None
@@ -234,8 +235,9 @@ class ConvoyPage:
                 },
                 link_loss=100.0,
             )
-            if (before := self.live()) is not None:
-                await before.ask({"kind": "stop"})
+            before = self.live()
+            if before is not None and before.viewers <= 1:
+                await before.stop()
             session = await self.service.go_live(body)
             self.run = session.id
             self.draw_section()
@@ -259,10 +261,18 @@ class ConvoyPage:
         Raises:
             MetropilotError: There is no run, or the event is not possible.
         """
+        await self.under_way().ask(event)
+
+    def under_way(self) -> Session:
+        """Session of the convoy that waits or runs.
+
+        Raises:
+            Refused: There is none.
+        """
         session = self.live()
         if session is None:
             raise Refused("no convoy is under way; depart first", 409)
-        await session.ask(event)
+        return session
 
     async def relink(self) -> None:
         """Send the fields of the link."""
@@ -277,13 +287,14 @@ class ConvoyPage:
 
     async def change_pace(self) -> None:
         """Send the pace."""
-        if (session := self.live()) is not None:
-            await session.ask({"kind": "pace", "pace": float(self.pace.value or 1)})
+        with self.news.show_errors():
+            if (session := self.live()) is not None and not session.waiting:
+                await session.ask({"kind": "pace", "pace": float(self.pace.value or 1)})
 
     async def stop(self) -> None:
         """End the run."""
         with self.news.show_errors():
-            await self.ask({"kind": "stop"})
+            await self.under_way().stop()
 
     def show_result(self, event: events.GenericEventArguments) -> None:
         """Show the result; taken from the session, not from the browser."""

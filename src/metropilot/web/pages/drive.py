@@ -460,8 +460,10 @@ class DrivePage:
     async def change_pace(self) -> None:
         """Send the pace to the live run."""
         pace = float(self.pace.value)
-        if (session := self.live()) is not None and session.known.pace != pace:
-            await session.ask({"kind": "pace", "pace": pace})
+        with self.departure.show_errors():
+            session = self.live()
+            if session is not None and not session.waiting and session.known.pace != pace:
+                await session.ask({"kind": "pace", "pace": pace})
 
     async def pause(self) -> None:
         """Pause the run, or let it go on at the pace of the field."""

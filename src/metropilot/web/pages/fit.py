@@ -12,6 +12,7 @@ from metropilot.errors import MetropilotError
 from metropilot.fit import GROUPS
 from metropilot.web import catalogue
 from metropilot.web.errors import Refused, error_of
+from metropilot.web.live.session import GOING
 from metropilot.web.pages.document import describe
 from metropilot.web.pages.form import loads, validate
 from metropilot.web.pages.frame import (
@@ -32,7 +33,7 @@ from metropilot.web.pages.plots import residual_figure
 from metropilot.web.pages.strip import names
 from metropilot.web.schemas.requests import FitIn
 from metropilot.web.service import Service
-from metropilot.web.store import OVER, JobRow
+from metropilot.web.store import JobRow
 from metropilot.web.words.language import N_, _, translate_each
 from metropilot.web.words.said import retell
 from metropilot.web.words.tables import number
@@ -235,7 +236,7 @@ class FitPage:
         """Show the state of the job, and its result once it is there."""
         with self.problem.show_errors():
             row = self.service.store.job(self.job)
-            self.going = row.status not in OVER
+            self.going = row.status in GOING
             self.status.text = f"{retell(row.words)} …" if row.status == "running" else retell(row.status)
             self.stop_button.set_visibility(self.going)
             self.go.set_enabled(not self.going)

@@ -6,7 +6,7 @@ import asyncio
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from copy import copy
-from typing import Any, Self
+from typing import Any
 
 from fastapi import Request
 from nicegui import Client, ui
@@ -63,11 +63,11 @@ class ActionButton(ui.button):
             self.set_enabled(False)
             self.props(prop_of("title", _("{name} reads only", name=present_user().name)))
 
-    def set_enabled(self, value: bool) -> Self:
+    def set_enabled(self, value: bool) -> ActionButton:
         """Enable or disable the button; a viewer's stays disabled."""
         return super().set_enabled(value and self.allowed)
 
-    def enable(self) -> Self:
+    def enable(self) -> ActionButton:
         """Enable the button, unless it is a viewer's."""
         return self.set_enabled(True)
 

@@ -13,6 +13,7 @@ from metropilot.errors import MetropilotError
 from metropilot.studies import PublishedStudy
 from metropilot.web import catalogue
 from metropilot.web.errors import Refused, error_of
+from metropilot.web.live.session import GOING
 from metropilot.web.pages.form import driver_names, is_learned, number_field, validate
 from metropilot.web.pages.frame import (
     ActionButton,
@@ -37,7 +38,6 @@ from metropilot.web.words.said import retell
 from metropilot.web.words.tables import number
 
 POLL_S = 1.0
-GOING = ("queued", "running")
 
 
 class LearnPage:

@@ -12,6 +12,7 @@ from metropilot.errors import MetropilotError
 from metropilot.operation import OperationOptions
 from metropilot.web import catalogue
 from metropilot.web.errors import Refused, error_of
+from metropilot.web.live.session import GOING
 from metropilot.web.pages.form import FoldedNumbers, loads, number_field, validate
 from metropilot.web.pages.frame import (
     ActionButton,
@@ -32,7 +33,7 @@ from metropilot.web.pages.plots import headways_figure, operation_figure
 from metropilot.web.pages.running import RunningCard
 from metropilot.web.schemas.requests import OperationIn
 from metropilot.web.service import Service
-from metropilot.web.store import OVER, JobRow
+from metropilot.web.store import JobRow
 from metropilot.web.words.language import N_, _
 from metropilot.web.words.said import retell
 from metropilot.web.words.tables import number
@@ -263,12 +264,12 @@ class OperationPage:
         for row in self.rows():
             headway_s = 0 if day else row.request["headway_s"]
             same = {**row.request, "headway_s": wanted["headway_s"]} == wanted
-            if not same or headway_s in self.found or row.status not in {"running", *OVER}:
+            if not same or headway_s in self.found or row.status == "queued":
                 continue
             found = self.results.get(row.id) or self.service.store.result(row.id)
             if found is not None:
                 self.found[headway_s] = row.id, found
-            if found is not None and row.status in OVER:
+            if found is not None and row.status not in GOING:
                 self.results[row.id] = found
 
     def watch(self) -> None:
@@ -280,8 +281,13 @@ class OperationPage:
         """Show the progress of the jobs, and their results."""
         going = _("queued")
         for job in list(self.jobs):
-            row = self.service.store.job(job)
-            if row.status in OVER:
+            try:
+                row = self.service.store.job(job)
+            except Refused as error:  # it was deleted
+                self.jobs.remove(job)
+                self.problem.show(error)
+                continue
+            if row.status not in GOING:
                 self.jobs.remove(job)
                 if row.status == "failed":
                     self.fail(row)
@@ -333,7 +339,7 @@ class OperationPage:
                 if not day:
                     what = _(
                         "A headway of {headway} is not computed for these settings. Press Compute.",
-                        headway=number(at, 0, "s"),
+                        headway=number(float(at), 0, "s"),
                     )
                 empty(what)
                 return
@@ -449,7 +455,7 @@ class OperationPage:
         self.restore_service(body)
         self.fields["day"].value, self.fields["feeding"].value = body["day"] or "", body["feeding"] or ""
         self.optimise.value, self.seed.value = body["optimise"], body["seed"]
-        if row.status not in OVER:
+        if row.status in GOING:
             self.jobs.append(row.id)
             self.watch()
         elif row.error is not None:

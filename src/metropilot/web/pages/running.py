@@ -187,8 +187,9 @@ class RunningCard:
     async def change_pace(self) -> None:
         """Send the pace to the running line, if there is one."""
         session = self.service.sessions.get(self.run or "")
-        if session is not None and not session.over and not session.waiting:
-            await session.ask({"kind": "pace", "pace": float(self.pace.value or 0)})
+        with self.problem.show_errors():
+            if session is not None and not session.over and not session.waiting:
+                await session.ask({"kind": "pace", "pace": float(self.pace.value or 0)})
 
     def where(self) -> dict[str, Any]:
         """Station and direction of the fields."""

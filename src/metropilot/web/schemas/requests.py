@@ -378,6 +378,8 @@ class LiveIn(DriveIn):
 
 TRAINSETS = replace(field_specs(ConvoyRequest)["count"], range=Range(2, 6))
 """Trainsets of a live convoy: as many as a server drives in real time."""
+CONVOY_PERIOD_S = 0.1
+"""Control period of a convoy, as on the command line."""
 ConvoySettingsIn = create_model(
     "ConvoySettingsIn",
     __base__=RequestBody,
@@ -395,6 +397,7 @@ class ConvoyIn(DriveIn, ConvoySettingsIn):
 
     model_config = example(line="yizhuang", origin="RJ", destination="WYJ", time_s=110, trainsets=3)
 
+    dt_s: Annotated[float, Checked("dt_s", RUN_FIELDS["dt_s"])] = CONVOY_PERIOD_S
     trainsets: Annotated[int, Checked("trainsets", TRAINSETS)] = 3
     follower: Id = "follow_plan"
     behind: Annotated[list[Id], Field(max_length=5)] = []

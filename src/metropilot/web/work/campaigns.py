@@ -123,7 +123,7 @@ def campaign_job(root: str, job: str, values: dict[str, Any]) -> dict[str, Any]:
     """Compute the rows that the job's folder does not hold yet, until it is asked to stop."""
     store, folder = JobStore(Path(root)), folder_of(root, job)
     campaign = campaign_from_values(DECLARED, values)
-    store.update(job, status="running", words=f"0 of {campaign.rows} rows")
+    store.begin(job, f"0 of {campaign.rows} rows")
 
     def say(progress: CampaignProgress) -> None:
         words = f"{progress.rows} of {progress.total} rows"

@@ -77,7 +77,7 @@ def drive_out(driven: Drive, kpis: Kpis, optimum: Optimum | None, explanation: E
 def drive_job(root: str, job: str, request: RunSpec) -> dict[str, Any]:
     """Drive one run and write its files into the job's folder."""
     store = JobStore(Path(root))
-    store.update(job, status="running", progress=0.0, words="driving")
+    store.begin(job, "driving")
     driven = drive(request.run(), request.make_driver())
     store.update(job, progress=0.6, words="comparing with the optimum")
     optimum = optimum_of(driven, request.objective)
@@ -112,7 +112,7 @@ def compare_job(root: str, job: str, request: RunSpec, drivers: dict[str, str], 
         seeds: Drives of each driver.
     """
     store = JobStore(Path(root))
-    store.update(job, status="running", progress=0.0, words="driving")
+    store.begin(job, "driving")
     todo = jobs(list(drivers.values()), request.seed, seeds)
     shown = {taken: name for name, taken in drivers.items()}
 

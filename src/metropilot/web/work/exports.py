@@ -60,7 +60,7 @@ class ExportRequest:
 def export_job(root: str, job: str, request: ExportRequest) -> dict[str, Any]:
     """Write a driver as C, and as WebAssembly besides, into the job's folder."""
     store = JobStore(Path(root))
-    store.update(job, status="running", progress=0.1, words="tracing")
+    store.begin(job, "tracing", 0.1)
     from metropilot.aboard import find_zig, trace_driver, write_driver
     from metropilot.policy import load_driving_policy, shipped_policy
 

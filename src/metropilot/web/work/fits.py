@@ -86,7 +86,7 @@ class FitRequest:
 def fit_job(root: str, job: str, request: FitRequest) -> dict[str, Any]:
     """Fit a trainset and write its files into the job's folder."""
     store = JobStore(Path(root))
-    store.update(job, status="running", progress=0.05, words="reading the logs")
+    store.begin(job, "reading the logs", 0.05)
     trainset, sections = request.read()
     logs = request.read_logs()
     store.update(job, progress=0.2, words="fitting")

@@ -35,7 +35,7 @@ def learn_job(root: str, job: str, body: dict[str, Any], run: str | None) -> dic
         run: Id of the learning run to resume.
     """
     store = JobStore(Path(root))
-    store.update(job, status="running", words="compiling")
+    store.begin(job, "compiling")
     from metropilot.learn import (
         RunStore,
         TrainingOptions,
@@ -150,7 +150,7 @@ def keep_run(root: Path, run: str) -> None:
 def study_job(root: str, job: str, body: dict[str, Any]) -> dict[str, Any]:
     """Reproduce a study in a folder that a later job can resume; return its report as plain values."""
     store = JobStore(Path(root))
-    store.update(job, status="running", words="beginning")
+    store.begin(job, "beginning")
     from metropilot import studies
 
     study = studies.STUDIES.get(body["study"])

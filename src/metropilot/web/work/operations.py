@@ -82,7 +82,7 @@ def line_job(root: str, job: str, request: OperationRequest) -> dict[str, Any]:
     folder, headway_s = folder_of(root, job), request.options.headway_s
     _, day, feeding = request.read()
     searching = "searching" if request.optimise else "choosing"
-    store.update(job, status="running", progress=0.05, words="planning the trips")
+    store.begin(job, "planning the trips", 0.05)
     neutral = replace(request.options, headway_s=OperationOptions.headway_s)
     names = {name: getattr(request, name) for name in ("line", "trainset", "load")}
     planned, plans, floors = _plan(LineRequest(**names, options=neutral), request.optimise)

@@ -1,0 +1,84 @@
+"""Jobs of the service, without processes: queued once, stopped for good, watched to the end."""
+
+import asyncio
+import inspect
+from concurrent.futures import Future
+
+import pytest
+
+from metropilot.cli.convoy import convoy_command
+from metropilot.errors import InputError
+from metropilot.web import service as services
+from metropilot.web.errors import Refused
+from metropilot.web.schemas.requests import ConvoyIn, DriveIn, FitIn
+from metropilot.web.service import Service
+from metropilot.web.settings import Settings
+from metropilot.web.store import JobStore
+
+
+@pytest.fixture
+def service(tmp_path, monkeypatch):
+    """A service whose jobs wait for ever."""
+    made = Service(Settings(data=tmp_path))
+    made.submitted = []
+    monkeypatch.setattr(made.pools, "submit", lambda *work: made.submitted.append(work) or Future())
+    return made
+
+
+def test_a_job_whose_log_is_gone_stays_as_it_was(service):
+    job = service.store.new_job("fit", FitIn(logs=["upload-00000000"]).model_dump())
+    service.store.update(job, status="stopped", words="stopped")
+    with pytest.raises(InputError, match="no such log"):
+        service.resume(job)
+    assert (service.store.job(job).status, service.submitted) == ("stopped", [])
+
+
+def test_a_job_is_resumed_once(service, monkeypatch):
+    job = service.submit(DriveIn(driver="flat_out"))
+    service.store.update(job, status="interrupted")
+    before = service.store.job(job)
+    service.resume(job)
+    monkeypatch.setattr(service.store, "job", lambda _: before)  # the other one looked before
+    with pytest.raises(Refused, match="queued cannot be resumed"):
+        service.resume(job)
+    assert len(service.submitted) == 2
+
+
+def test_a_worker_that_starts_late_does_not_run_a_stopped_job(service):
+    job = service.submit(DriveIn(driver="flat_out"))
+    service.stop(job)
+    JobStore(service.root).begin(job, "driving")
+    assert service.store.job(job).status == "stopped"
+    other = service.submit(DriveIn(driver="flat_out"))
+    JobStore(service.root).begin(other, "driving")
+    assert (service.store.job(other).status, service.store.job(other).words) == ("running", "driving")
+
+
+def test_the_watch_of_live_runs_goes_on_after_an_error(service, monkeypatch, capsys):
+    looks = []
+
+    async def fail():
+        looks.append(1)
+        raise RuntimeError("disk full")
+
+    async def watch():
+        monkeypatch.setattr(services, "WATCH_S", 0.01)
+        monkeypatch.setattr(service, "stop_abandoned", fail)
+        task = asyncio.create_task(service._watch_live())
+        await asyncio.sleep(0.2)
+        task.cancel()
+
+    asyncio.run(watch())
+    assert len(looks) > 1
+    assert "disk full" in capsys.readouterr().err
+
+
+def test_a_convoy_has_the_control_period_of_the_command_line():
+    assert ConvoyIn().dt_s == inspect.signature(convoy_command).parameters["dt_s"].default
+
+
+def test_a_text_is_found_with_all_its_characters(service):
+    job = service.store.new_job("drive", {"line": "yizhuang"})
+    assert [row.id for row in service.store.jobs(text="YIZHUANG")] == [job]
+    for text in ("\x00", "%", "_", "\\"):
+        assert service.store.jobs(text=text) == []
