@@ -406,10 +406,16 @@ def test_an_arrival_is_dragged_on_the_way(visit, width, height):
     drag_arrival(page, top, top + 15)
     page.mouse.up()
     expect(field).to_have_value(re.compile(rf"{top + 14}|{top + 15}|{top + 16}"))
+    field.fill("9000")
+    page.wait_for_function(f"{LANE_TOP} > 9000")
     field.fill("130")
-    page.wait_for_function(f"{WISH}.y[0] === 130")
+    page.wait_for_function(
+        f"{WISH}.y[0] === 130 && {LANE_TOP} < 300"
+    )  # a far time that is taken back leaves no room
     page.locator('[data-test="stop"]').click()
     expect(live).to_have_attribute("data-status", "stopped")
+    page.locator('[data-mp="take"]').click()
+    expect(live).to_have_attribute("data-hand", "false")
     page.wait_for_function(f"{ARRIVAL}.y[0] === 115 && {WISH}.x.length === 0")
     expect(page.locator(".mp-arrival")).to_be_hidden()
 
@@ -423,6 +429,9 @@ def test_a_run_that_is_over_shows_its_time_and_arrival(visit, server, driven):
     assert drawn == pytest.approx(columns["time_s"])
     expect(page.locator(".mp-arrival")).to_be_hidden()
     page.get_by_role("slider", name="Moment").fill("50")
+    page.get_by_label("Arrive after (s)").fill("120")  # an update of the page leaves the moment where it is
+    page.wait_for_timeout(300)
+    expect(page.get_by_role("slider", name="Moment")).to_have_value("50")
     head = f"{PLOT}.data.filter(t => t.yaxis === 'y4' && t.mode === 'markers')[0].y[0]"
     page.wait_for_function(f"Math.abs({head} - {columns['time_s'][50]}) < 1e-6")
     path, _ = taken(page, 0, "Values of the plot as CSV")

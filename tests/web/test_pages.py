@@ -33,7 +33,7 @@ from metropilot.web.pages.plots import (
     finished_line_figure,
     front_figure,
 )
-from metropilot.web.pages.runs import RunList
+from metropilot.web.pages.runs import RunList, RunsPage
 from metropilot.web.schemas.requests import (
     ConvoyIn,
     DriveIn,
@@ -42,6 +42,7 @@ from metropilot.web.schemas.requests import (
     LearnIn,
     NewLink,
     OperationIn,
+    RunningLineIn,
 )
 from metropilot.web.service import Service
 from metropilot.web.settings import Settings
@@ -319,3 +320,94 @@ def test_a_drive_on_time_that_failed_something_else_is_not_called_late():
 def test_a_trainset_of_a_convoy_says_what_it_failed():
     assert member_outcome({"outcome": "arrived", "failed": ["jerk"]}) == ("✗ arrived: jerk", "mp-fail")
     assert member_outcome({"outcome": "arrived", "failed": []}) == ("✓ arrived", "mp-pass")
+
+
+def test_a_form_answers_changes_by_hand_after_one_that_failed(tmp_path, monkeypatch):
+    async def story(service):
+        shown = DrivePage(service, None)
+        shown.build()
+
+        def fail(*_):
+            raise ValueError("gone")
+
+        monkeypatch.setattr(shown.form.restrictions, "rows", [None])
+        monkeypatch.setattr(shown.form.restrictions, "move", fail)
+        with pytest.raises(ValueError, match="gone"):
+            await shown.form.move_restriction(0, {})
+        monkeypatch.undo()
+        shown.form.linked = True
+        shown.form.trainset_in.value = "cheng2023"
+        return shown.form.linked
+
+    assert on_page(story, tmp_path) is False
+
+
+def test_a_running_line_that_stopped_says_so(tmp_path):
+    async def story(service):
+        run = service.store.new_job("live", RunningLineIn().model_dump())
+        service.store.update(run, status="stopped")
+        shown = OperationPage(service, None, run)
+        shown.build()
+        shown.load()
+        return shown.running.status.text, shown.running.resume_button.visible
+
+    assert on_page(story, tmp_path) == ("stopped; it can be resumed", True)
+
+
+def test_the_address_of_a_running_line_stays_beside_that_of_a_result(tmp_path, monkeypatch):
+    told = []
+
+    async def story(service):
+        shown = OperationPage(service, None)
+        shown.build()
+        shown.running.run = "live-1"
+        shown.found = {180: ("line-1", {"files": []})}
+        monkeypatch.setattr(shown, "show_energies", lambda *_, **__: None)
+        monkeypatch.setattr(shown, "draw_curve", lambda _: None)
+        monkeypatch.setattr(ui, "run_javascript", told.append)
+        shown.show()
+
+    on_page(story, tmp_path)
+    assert told == ["history.replaceState(null, '', '/line?job=line-1&run=live-1')"]
+
+
+def test_errors_of_a_linked_line_are_shown(tmp_path):
+    async def story(service):
+        failed = service.store.new_job("line", OperationIn().model_dump())
+        service.store.update(failed, status="failed", error={"message": "too many trains"})
+        words = []
+        for job, run in ((failed, None), ("line-0", None), (None, "live-0")):
+            shown = OperationPage(service, job, run)
+            shown.build()
+            shown.load()
+            words.append(shown.problem.label.text)
+        return words
+
+    failed, *gone = on_page(story, tmp_path)
+    assert failed == "too many trains"
+    assert gone == ["id: no such job: line-0", "id: no such job: live-0"]
+
+
+def test_runs_of_a_project_that_is_gone_say_so(tmp_path):
+    async def story(service):
+        shown = RunsPage(service, {"project": "nope"})
+        shown.build()
+        return shown.problem.label.text
+
+    assert on_page(story, tmp_path) == "project: no such project: nope"
+
+
+def test_updates_of_a_page_leave_its_sliders_where_they_are(tmp_path):
+    """A value among the properties would be set anew at every update."""
+
+    async def story(service):
+        DrivePage(service, None).build()
+        return [
+            each.props
+            for each in ui.context.client.elements.values()
+            if each.tag == "input" and each.props.get("type") == "range"
+        ]
+
+    sliders = on_page(story, tmp_path)
+    assert len(sliders) == 2
+    assert not any("value" in props for props in sliders)

@@ -37,6 +37,7 @@ from metropilot.web.pages.frame import (
     plot,
     prop_of,
     reads,
+    set_quietly,
     strip,
     table,
 )
@@ -226,9 +227,7 @@ class DrivePage:
                     ui.element("span").props["innerText"] = f" {_(words)}  "
         with ui.element("div").classes("mp-lever"):
             ui.label(_("brake"))
-            slider = ui.element("input").props(
-                'type=range min=-1 max=1 step=0.05 value=0 disabled data-mp="slider"'
-            )
+            slider = ui.element("input").props('type=range min=-1 max=1 step=0.05 disabled data-mp="slider"')
             slider.props(prop_of("aria-label", _("Lever")))
             slider.on("input", js_handler="(e) => metropilot.slide(e.target.value)")
             ui.label(_("power")).style("text-align:right")
@@ -291,9 +290,8 @@ class DrivePage:
             InputError: Its line, station or trainset does not exist any more.
         """
         self.form.restore(body)
-        self.filling = True
-        self.disturbances.restore(body)
-        self.filling = False
+        with set_quietly(self):
+            self.disturbances.restore(body)
         self.driver.value = driver_choice(self.service, self.driver, body["driver"], body["options"])
         self.driver_options.show(self.driver.value, other_options(body["options"]))
         self.form.kept_words.text = describe_hidden(self.form.kept, {})

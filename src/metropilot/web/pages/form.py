@@ -16,7 +16,7 @@ from metropilot.evaluate import POLICY, parse_driver, run_fields
 from metropilot.units import J_PER_KWH, KMH_PER_MPS, Unit
 from metropilot.web import catalogue
 from metropilot.web.errors import Refused
-from metropilot.web.pages.frame import Problem, prop_of
+from metropilot.web.pages.frame import Problem, prop_of, set_quietly
 from metropilot.web.pages.numbers import NumberField, Slider
 from metropilot.web.pages.strip import names
 from metropilot.web.schemas.requests import (
@@ -222,7 +222,7 @@ class SectionForm:
         self.line = catalogue.line_out(service, "yizhuang")
         self.linked = False
         self.kept: dict[str, Any] = {}
-        self._filling = False
+        self.filling = False
         self._restored_s: float | None = None
 
     @property
@@ -307,24 +307,21 @@ class SectionForm:
         line = catalogue.line(self.service, body["line"])
         trainset = catalogue.trainset_out(self.service, body["trainset"])
         ends = [line.station(body[name]).code for name in ("origin", "destination")]
-        self._filling = True
         self.line = catalogue.line_out(self.service, body["line"])
         stops = names(self.line["stops"])
-        if body["trainset"] not in self.trainset_in.options:  # one with another dead time, or a random one
-            named: Any = self.trainset_in.options
-            self.trainset_in.set_options({**named, body["trainset"]: body["trainset"]})
-        self.line_in.value, self.trainset_in.value = body["line"], body["trainset"]
-        self.origin_in.set_options(stops, value=ends[0])
-        self.destination_in.set_options(stops, value=ends[1])
-        self.load_in.set_options(
-            loads(self.service, body["trainset"]), value=body["load"] or trainset["load"]
-        )
-        self._filling = False
-        self._restored_s = body["time_s"]
-        self._filling = True
-        self.restrictions.restore(body.get("restrictions", []))
-        self.objective.value = body.get("objective", "wheel")
-        self._filling = False
+        with set_quietly(self):
+            if body["trainset"] not in self.trainset_in.options:  # another dead time, or a random one
+                named: Any = self.trainset_in.options
+                self.trainset_in.set_options({**named, body["trainset"]: body["trainset"]})
+            self.line_in.value, self.trainset_in.value = body["line"], body["trainset"]
+            self.origin_in.set_options(stops, value=ends[0])
+            self.destination_in.set_options(stops, value=ends[1])
+            self.load_in.set_options(
+                loads(self.service, body["trainset"]), value=body["load"] or trainset["load"]
+            )
+            self._restored_s = body["time_s"]
+            self.restrictions.restore(body.get("restrictions", []))
+            self.objective.value = body.get("objective", "wheel")
         self.kept = {"arrivals": body["arrivals"]} if body.get("arrivals") else {}
         self.kept_words.text = describe_hidden(self.kept, body.get("options", {}))
         self.linked = True
@@ -335,8 +332,7 @@ class SectionForm:
         Raises:
             Refused: No such line or trainset (404).
         """
-        self._filling = True
-        try:
+        with set_quietly(self):
             if line is not None:
                 self.line = catalogue.line_out(self.service, line)
                 stops = names(self.line["stops"])
@@ -347,8 +343,6 @@ class SectionForm:
                 aboard = loads(self.service, trainset)
                 self.trainset_in.value = trainset
                 self.load_in.set_options(aboard, value=next(iter(aboard)))
-        finally:
-            self._filling = False
 
     async def wait_for_section(self) -> dict[str, Any]:
         """Wait until the section of the fields is there: a press of a button may come before it.
@@ -405,10 +399,9 @@ class SectionForm:
         planned = self._restored_s or (proposed if self._proposing else self.time_s)
         least, most = min(least, math.floor(planned)), max(most, math.ceil(planned))
         self._restored_s, self._proposing = None, False
-        self._filling = True
-        self.slider.props["min"], self.slider.props["max"] = least, most
-        self.slider.value = min(max(planned, least), most)
-        self._filling = False
+        with set_quietly(self):
+            self.slider.props["min"], self.slider.props["max"] = least, most
+            self.slider.value = min(max(planned, least), most)
         self._say_time()
         return True
 
@@ -428,7 +421,7 @@ class SectionForm:
 
     def _changed_by_hand(self) -> bool:
         """Tell whether the user changed a field; if so, forget the linked run."""
-        if self._filling:
+        if self.filling:
             return False
         self.linked, self.kept, self.kept_words.text = False, {}, ""
         return True
@@ -438,20 +431,18 @@ class SectionForm:
             return None
         self.line = catalogue.line_out(self.service, self.line_in.value)
         stops = names(self.line["stops"])
-        self._filling = True
         codes = list(stops)
-        self.origin_in.set_options(stops, value=codes[0])
-        self.destination_in.set_options(stops, value=codes[1])
-        self._filling = False
+        with set_quietly(self):
+            self.origin_in.set_options(stops, value=codes[0])
+            self.destination_in.set_options(stops, value=codes[1])
         return self.load()
 
     def _trainset_changed(self) -> Awaitable[None] | None:
         if not self._changed_by_hand():
             return None
         found = loads(self.service, self.trainset_in.value)
-        self._filling = True
-        self.load_in.set_options(found, value=next(iter(found)))
-        self._filling = False
+        with set_quietly(self):
+            self.load_in.set_options(found, value=next(iter(found)))
         return self.load()
 
     def _refresh(self) -> Awaitable[None] | None:
@@ -459,7 +450,7 @@ class SectionForm:
 
     def _replan(self) -> Awaitable[None] | None:
         # told at once, not when it is awaited: by then the form is filled
-        return None if self._filling else self._load_at_same_time()
+        return None if self.filling else self._load_at_same_time()
 
     async def _load_at_same_time(self) -> None:
         """Load the section anew with other restrictions, or another objective, at the same time."""
@@ -470,14 +461,13 @@ class SectionForm:
     async def move_restriction(self, k: int, place: dict[str, float]) -> None:
         """Move a restriction known before departure, and plan anew; ``place`` is as displayed."""
         if k < len(self.restrictions.rows):
-            self._filling = True
-            self.restrictions.move(k, place)
-            self._filling = False
+            with set_quietly(self):
+                self.restrictions.move(k, place)
             self.restrictions.fold.open()
             await self._load_at_same_time()
 
     def _time_moved(self) -> Awaitable[None] | None:
-        if self._filling:
+        if self.filling:
             return None
         self._say_time()
         return None if self.moved is None else self.moved()

@@ -6,7 +6,7 @@ import asyncio
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from copy import copy
-from typing import Any
+from typing import Any, Protocol, runtime_checkable
 
 from fastapi import Request
 from nicegui import Client, ui
@@ -151,6 +151,23 @@ def _theme_button(theme: str) -> None:
     button = ui.button(icon=icon, on_click=lambda: _keep(THEME, wanted)).props("flat round dense color=white")
     words = _("Theme: {theme}; change to {next}", theme=_(THEME_WORDS[theme]), next=_(THEME_WORDS[wanted]))
     button.props(prop_of("aria-label", words))
+
+
+@runtime_checkable
+class Filled(Protocol):
+    """A part of a page whose fields are also changed by the page itself."""
+
+    filling: bool
+
+
+@contextmanager
+def set_quietly(part: Filled) -> Iterator[None]:
+    """Change the fields of a part without its answers to a change by hand."""
+    before, part.filling = part.filling, True
+    try:
+        yield
+    finally:
+        part.filling = before
 
 
 @contextmanager

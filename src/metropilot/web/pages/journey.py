@@ -22,6 +22,7 @@ from metropilot.web.pages.frame import (
     links,
     plot,
     reads,
+    set_quietly,
     strip,
     table,
 )
@@ -157,22 +158,13 @@ class JourneyPage:
         aboard = loads(self.service, body["trainset"])
         stops = names(self.line["stops"])
         ends = list(stops)
-        with self.set_quietly():
+        with set_quietly(self):
             self.fields["line"].value, self.fields["trainset"].value = body["line"], body["trainset"]
         self.fields["origin"].set_options(stops, value=body["origin"] or ends[0])
         self.fields["destination"].set_options(stops, value=body["destination"] or ends[-1])
         self.fields["load"].set_options(aboard, value=body["load"] or next(iter(aboard)))
         self.way.value = "timetable" if body["total_s"] is None else "optimum"
         self.total.value = body["total_s"]
-
-    @contextmanager
-    def set_quietly(self) -> Iterator[None]:
-        """Change fields without the answers to a change by hand."""
-        self.filling = True
-        try:
-            yield
-        finally:
-            self.filling = False
 
     def show(self, found: dict[str, Any], job: str | None = None) -> None:
         """Show numbers and pictures of the journey."""

@@ -36,8 +36,8 @@ class MomentSlider:
         self.root, self.plot = root, plot
         with ui.element("div").classes("mp-moment").props('hidden data-mp="moments"'):
             ui.label(_("Moment"))
-            slider = ui.element("input").props('type=range min=0 max=0 step=1 value=0 data-mp="moment"')
-            slider.props(prop_of("aria-label", _("Moment")))
+            slider = ui.element("input").props('type=range min=0 max=0 step=1 data-mp="moment"')
+            slider.props(prop_of("aria-label", _("Moment")))  # a value here would be set anew at every update
             ui.label("").props('data-mp="place"')
 
     def offer(self, driven: dict[str, Any], length_m: float) -> None:

@@ -26,6 +26,7 @@ from metropilot.web.pages.frame import (
     prop_of,
     reads,
     refresh_while,
+    set_quietly,
     table,
 )
 from metropilot.web.pages.numbers import Slider
@@ -172,18 +173,16 @@ class OperationPage:
     def change_line(self) -> None:
         """Offer what belongs to the line."""
         if not self.filling:
-            self.filling = True
-            self.fill_names()
-            self.filling = False
+            with set_quietly(self):
+                self.fill_names()
             self.change()
 
     def change_trainset(self) -> None:
         """Offer the loads of the trainset."""
         if not self.filling:
-            self.filling = True
             aboard = loads(self.service, self.fields["trainset"].value)
-            self.fields["load"].set_options(aboard, value=next(iter(aboard)))
-            self.filling = False
+            with set_quietly(self):
+                self.fields["load"].set_options(aboard, value=next(iter(aboard)))
             self.change()
 
     def change(self) -> None:
@@ -200,17 +199,15 @@ class OperationPage:
     def drag(self) -> None:
         """Show the headway of the slider, if it is computed."""
         if not self.filling:
-            self.filling = True
-            self.headway.value = self.slider.value
-            self.filling = False
+            with set_quietly(self):
+                self.headway.value = self.slider.value
             self.show()
 
     def type_headway(self) -> None:
         """Move the slider to the headway of the field."""
         if self.headway.number is not None:
-            self.filling = True
-            self.slider.value = min(max(self.headway.number, SHORTEST_S), LONGEST_S)
-            self.filling = False
+            with set_quietly(self):
+                self.slider.value = min(max(self.headway.number, SHORTEST_S), LONGEST_S)
             self.show()
 
     def release(self, event: events.GenericEventArguments) -> None:
@@ -343,7 +340,8 @@ class OperationPage:
                     )
                 empty(what)
                 return
-            ui.run_javascript(f"history.replaceState(null, '', '/line?job={job}')")
+            with_run = f"&run={self.running.run}" if self.running.run else ""
+            ui.run_javascript(f"history.replaceState(null, '', '/line?job={job}{with_run}')")
             self.show_energies(found, day=day)
             links([(name, f"/api/jobs/{job}/files/{name}") for name in self.files(found)])
 
@@ -434,20 +432,26 @@ class OperationPage:
         ui.label(" ".join(words)).classes("mp-soft").props('data-test="words"')
 
     def load(self) -> None:
-        """Fill the form with the linked job and follow it; runs once the page is connected."""
-        with self.problem.show_errors():
+        """Fill the form with the linked job or run and follow it; runs once the page is connected."""
+        lost = None
+        try:
+            row = self.running.load()
             if self.job:
                 self.restore(self.service.store.job(self.job))
-            elif (row := self.running.load()) is not None:
+            elif row is not None:
                 self.restore_service(row.request)
+        except MetropilotError as error:
+            lost = error
         self.filling = False
         self.change()
+        if lost is not None:  # not before: what changes clears the errors
+            self.problem.show(lost)
 
     def restore(self, row: JobRow) -> None:
         """Fill the form with the request of a job.
 
         Raises:
-            MetropilotError: No job of a line, or its line or trainset does not exist any more.
+            MetropilotError: No job of a line, it failed, or its line or trainset does not exist any more.
         """
         if row.kind != "line":
             raise Refused(f"the job is a {row.kind}, no line in operation", 404, field="id", value=row.id)
@@ -459,7 +463,7 @@ class OperationPage:
             self.jobs.append(row.id)
             self.watch()
         elif row.error is not None:
-            self.problem.show(error_of(row.error))
+            raise error_of(row.error)
 
     def restore_service(self, body: dict[str, Any]) -> None:
         """Fill in line, trainset, headway and options.

@@ -39,7 +39,8 @@ class ProjectCard:
 
     def __init__(self, service: Service, key: str | None, changed: Callable[[], None]) -> None:
         self.service, self.changed = service, changed
-        self.key = key if key in {row.id for row in service.store.projects()} else None
+        self.lost = None if key is None or key in {row.id for row in service.store.projects()} else key
+        self.key = None if self.lost else key
 
     def names(self, nothing: str) -> dict[str, str]:
         """Options of a list of projects; the empty one stands for none."""
@@ -48,6 +49,9 @@ class ProjectCard:
     def build_choice(self, problem: Problem) -> None:
         """Place the list of projects with its buttons; errors are shown where the page shows them."""
         self.problem = problem
+        with problem.show_errors():
+            if self.lost is not None:
+                self.service.store.project(self.lost)
         with ui.element("div").classes("mp-row items-center"):
             self.choice = ui.select(self.names(_(EVERY)), value=self.key or "", label=_("Project"))
             self.choice.props("outlined dense options-dense").classes("mp-filter")

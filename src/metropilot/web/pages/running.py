@@ -27,6 +27,7 @@ from metropilot.web.schemas.requests import NewHold, NewSlowSection, RunningLine
 from metropilot.web.service import RESUMABLE, Service
 from metropilot.web.store import JobRow
 from metropilot.web.words.language import N_, _, translate_each
+from metropilot.web.words.said import retell
 from metropilot.web.words.tables import number
 
 PACES = {1: N_("real time"), 5: "5 ×", 10: "10 ×", 30: "30 ×", 60: "60 ×", 0: N_("pause")}
@@ -61,8 +62,8 @@ class RunningCard:
         with self.root, ui.element("div").classes("mp-stack"):
             with ui.element("div").classes("mp-row items-center"):
                 ui.label(_("Live train graph")).classes("mp-h").props("role=heading aria-level=2")
-                status = ui.label(_("not begun")).classes("mp-soft")
-                status.props('data-mp="status" aria-live=polite')
+                self.status = ui.label(_("not begun")).classes("mp-soft")
+                self.status.props('data-mp="status" aria-live=polite')
                 ui.label("").classes("mp-soft").props('data-mp="pace"')
             ui.label(
                 _(
@@ -133,6 +134,8 @@ class RunningCard:
         if catalogue.kind_of(row) != "running":
             raise Refused(f"the job is a {catalogue.KINDS[catalogue.kind_of(row)].lower()}", 404, field="run")
         self.root.props(f"data-status={row.status}")
+        said = {"done": _("at its end"), "stopped": _("stopped; it can be resumed")}
+        self.status.text = said.get(row.status) or retell(row.words or row.status)
         if row.id in self.service.sessions:
             self.attach(row.id)
         elif (found := self.service.store.result(row.id)) is not None:

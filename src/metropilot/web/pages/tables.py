@@ -9,7 +9,7 @@ from typing import Any
 
 from nicegui import ui
 
-from metropilot.web.pages.frame import prop_of
+from metropilot.web.pages.frame import prop_of, set_quietly
 from metropilot.web.words.language import _
 from metropilot.web.words.said import retell
 
@@ -122,22 +122,22 @@ class DataTable:
         """Show rows; those chosen stay so while they are there."""
         if rows == self.rows:
             return
-        self.rows, self.filling = rows, True
-        for name, field in self.filters.items():
-            values = sorted({str(row[name]) for row in rows if row[name] is not None})
-            field.set_options({"": _("all"), **{value: retell(value) for value in values}})
-            if field.value not in field.options:
-                field.value = ""
-        self.filling = False
+        self.rows = rows
+        with set_quietly(self):
+            for name, field in self.filters.items():
+                values = sorted({str(row[name]) for row in rows if row[name] is not None})
+                field.set_options({"": _("all"), **{value: retell(value) for value in values}})
+                if field.value not in field.options:
+                    field.value = ""
         self.show()
 
     def restore(self, search: str, wanted: dict[str, str]) -> None:
         """Fill in the search field, and the lists whose columns are named."""
-        self.search.value, self.filling = search, True
-        for name, field in self.filters.items():
-            if wanted.get(name) in field.options:
-                field.value = wanted[name]
-        self.filling = False
+        self.search.value = search
+        with set_quietly(self):
+            for name, field in self.filters.items():
+                if wanted.get(name) in field.options:
+                    field.value = wanted[name]
         self.show()
 
     def filter(self) -> Any:  # noqa: ANN401 (a page's answer)

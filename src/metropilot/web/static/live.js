@@ -38,7 +38,7 @@
       const before = this.now;
       super.on_scene(scene);
       if (before && this.wish === before.scheduled_time_s) this.wish = null;  // it was no wish, but in force
-      this.latest = Math.max(this.latest, ROOM * scene.scheduled_time_s);
+      this.fit();
       this.set("scheduled", scene.scheduled_time_s.toFixed(0), "s");
       const mine = scene.lever !== null && scene.lever.holder === HOLDER;
       this.other = mine ? null : scene.lever;
@@ -73,9 +73,18 @@
       Plotly.relayout(el, { "yaxis4.range": [0, this.latest], meta: this.over ? {} : { arrival } });
     }
 
+    // Room for what is scheduled, driven and wished: a far time that is taken back leaves none. A lane that is
+    // dragged in stays as it is.
+    fit() {
+      if (handle && handle.held !== null) return;
+      const least = ROOM * this.now.scheduled_time_s, last = this.kept[this.kept.length - 1];
+      const beyond = [this.wish || 0, last ? last.time_s : 0].filter((s) => s > TOP * least);
+      this.latest = Math.max(least, ...beyond.map((s) => GROW * s));
+    }
+
     arrive(time_s) {
       this.wish = time_s;
-      if (time_s > this.latest) this.latest = GROW * time_s;
+      if (this.now) this.fit();
       if (this.now && !this.over) this.draw((Plotly, el) => this.bars(Plotly, el));
     }
 
@@ -124,6 +133,7 @@
     on_result(said) { this.outcome = said.kpis.outcome; this.root.dispatchEvent(new CustomEvent("mp-result", { detail: said, bubbles: true })); }
 
     take(share, over = false) {
+      if (this.over) return;
       this.share = Math.round(Math.min(Math.max(share, -1), 1) * 100) / 100;
       this.lever(over);
     }
