@@ -448,3 +448,38 @@ def test_no_other_file_is_readable(server):
         answer = server.client.get(path)
         assert answer.status_code in {404, 422}, path
         assert b"SQLite" not in answer.content
+
+
+@pytest.mark.parametrize(
+    ("method", "path", "body", "field", "allowed"),
+    [
+        ("POST", "/api/jobs/compare", '{"seeds": 51}', "seeds", "<= 50"),
+        ("POST", "/api/jobs/drive", '{"seed": 9223372036854775808}', "seed", "< 9223372036854775808"),
+        ("POST", "/api/jobs/drive", '{"time_s": 1e400}', "time_s", "a finite number"),
+        ("POST", "/api/jobs/drive", '{"time_s": [1]}', "time_s", "a number"),
+        ("POST", "/api/jobs/drive", '{"trainset": "../x"}', "trainset", "letters, digits, - and _"),
+        (
+            "POST",
+            "/api/jobs/drive",
+            '{"options": {"a": null}}',
+            "options.a",
+            "true or false or a whole number",
+        ),
+        ("POST", "/api/jobs/study", '{"stduy": "lu2023", "study": "lu2023"}', "stduy", "study, budget"),
+        ("POST", "/api/jobs/drive", '{"seed": ' + "9" * 5000 + "}", "body", "a JSON object"),
+        ("GET", "/api/jobs?limit=-1", None, "limit", ">= "),
+        ("GET", "/api/jobs?sort=foo", None, "sort", "created"),
+        ("GET", "/api/jobs?kind=foo", None, "kind", "drive"),
+    ],
+)
+def test_a_refusal_says_what_is_allowed(server, method, path, body, field, allowed):
+    headers = {"content-type": "application/json"}
+    answer = server.client.request(method, path, content=body, headers=headers if body else {})
+    assert answer.status_code in {400, 422}, answer.text
+    error = refusal_of(answer.json(), field)
+    assert error["allowed"].startswith(allowed), error
+
+
+def test_a_form_without_a_file_says_so(server):
+    error = refusal_of(server.client.post("/api/uploads", files={"file": (None, "a text")}).json(), "file")
+    assert (error["message"], error["allowed"]) == ("wrong kind of value", "a file")

@@ -2,6 +2,7 @@
 
 import asyncio
 import gc
+import math
 
 import pytest
 from nicegui import Client, core, ui
@@ -35,6 +36,7 @@ from metropilot.web.pages.plots import (
 )
 from metropilot.web.pages.runs import RunList, RunsPage
 from metropilot.web.schemas.requests import (
+    CampaignIn,
     ConvoyIn,
     DriveIn,
     FitIn,
@@ -411,3 +413,33 @@ def test_updates_of_a_page_leave_its_sliders_where_they_are(tmp_path):
     sliders = on_page(story, tmp_path)
     assert len(sliders) == 2
     assert not any("value" in props for props in sliders)
+
+
+@pytest.mark.parametrize(
+    ("kind", "values", "told"),
+    [
+        (
+            DriveIn,
+            {"options": {"a": math.nan}},
+            "options.a: wrong kind of value: 'nan' (allowed: true or false",
+        ),
+        (
+            DriveIn,
+            {"restrictions": [{"from_m": None}]},
+            "restrictions[0].from_m: not a number (allowed: a number",
+        ),
+        (DriveIn, {"seed": 1.5}, "seed: not a whole number: 1.5 (allowed: 0 or more)"),
+        (LearnIn, {"steps": 1e30}, "steps: not a whole number: 1e+30 (allowed: 1 000 to 50 000 000)"),
+        (LearnIn, {"budget": "long"}, "budget: unknown value: 'long' (allowed: quick or paper)"),
+        (
+            CampaignIn,
+            {"name": "a", "matrix": {"drivers": ["manual"], "sections": ["yizhuang"], "times": [0.5]}},
+            "matrix.times[0]: out of range: 0.5 (allowed: planned or >= 1.0)",
+        ),
+        (CampaignIn, {"name": "a", "matrix": {"drivers": ["manual"]}}, "matrix.sections: missing"),
+    ],
+)
+def test_a_refusal_names_the_field_its_value_and_what_is_allowed(kind, values, told):
+    with pytest.raises(InputError) as refused:
+        validate(kind, values)
+    assert str(refused.value).startswith(told)

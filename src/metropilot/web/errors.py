@@ -13,6 +13,7 @@ from pydantic import BaseModel
 from starlette.exceptions import HTTPException
 
 from metropilot.errors import InputError, MetropilotError
+from metropilot.web.words.language import N_
 
 FIELDS = ("file", "field", "value", "unit", "allowed")
 
@@ -63,7 +64,22 @@ def plain(value: Any) -> Any:  # noqa: ANN401 (whatever was sent)
 
 
 JSON = "application/json"
-METHOD_NOT_ALLOWED = 405
+UNREADABLE, METHOD_NOT_ALLOWED = 400, 405
+OUT_OF_RANGE = "out of range"
+WRONG_KIND = (
+    ("int_", N_("not a whole number"), N_("a whole number")),
+    ("float_", N_("not a number"), N_("a number")),
+    ("finite_", N_("not a number"), N_("a finite number")),
+    ("bool_", N_("wrong kind of value"), N_("true or false")),
+    ("string_", N_("wrong kind of value"), N_("text")),
+    ("list_", N_("wrong kind of value"), N_("a list")),
+    ("tuple_", N_("wrong kind of value"), N_("a list")),
+    ("dict_", N_("wrong kind of value"), N_("an object")),
+    ("model_", N_("wrong kind of value"), N_("an object")),
+)
+"""Errors of pydantic by the beginnings of their types: message, and what is allowed."""
+BOUNDS = {"ge": ">= {}", "gt": "> {}", "le": "<= {}", "lt": "< {}"}
+LENGTHS = {"min_length": N_("at least {count}"), "max_length": N_("at most {count}")}
 
 
 class ErrorDetail(BaseModel):
@@ -88,6 +104,74 @@ def answer(status: int, detail: dict[str, Any]) -> JSONResponse:
     return JSONResponse({"error": {"message": "", **dict.fromkeys(FIELDS), **detail}}, status_code=status)
 
 
+def refusal_of(
+    errors: Sequence[Mapping[str, Any]], body: object, kind: type[BaseModel] | None = None
+) -> InputError:
+    """Translate the errors of pydantic about the first field that cannot be used.
+
+    Args:
+        errors: Errors, as ``ValidationError.errors()`` has them.
+        body: What was validated; None where only the places of the errors are known.
+        kind: Type of the request, where it is known: its fields are those allowed for an unknown key.
+    """
+    field, first = place_of(errors[0], body), errors[0]
+    about = [each for each in errors if place_of(each, body) == field]
+    for each in about:
+        refused = each.get("ctx", {}).get("error")
+        if isinstance(refused, InputError):
+            return InputError(
+                refused.message, field=field, value=refused.value, unit=refused.unit, allowed=refused.allowed
+            )
+    told = [_translate(each) for each in about]
+    # of a field that takes several kinds: the one of which it is, else all
+    message = next((words for words, _ in told if words == OUT_OF_RANGE), told[0][0])
+    allowed = list(dict.fromkeys(words for _, words in told if words))
+    if first["type"] == "extra_forbidden" and kind is not None and len(first["loc"]) == 1:
+        allowed = [", ".join(each.alias or name for name, each in kind.model_fields.items())]
+    value = None if first["type"] in {"missing", "finite_number"} else plain(first.get("input"))
+    return InputError(message, field=field or "body", value=value, allowed=" or ".join(allowed) or None)
+
+
+def place_of(error: Mapping[str, Any], body: object) -> str:
+    """Dotted path of the field that an error is about, without pydantic's names of kinds."""
+    parts: list[Any] = []
+    known = body is not None
+    for part in error["loc"]:
+        if known:
+            inside = isinstance(body, Mapping) and part in body
+            inside |= isinstance(body, list | tuple) and isinstance(part, int) and part < len(body)
+            if not inside and not (error["type"] == "missing" and part == error["loc"][-1]):
+                continue
+            body = body[part] if inside else None  # pyright: ignore[reportIndexIssue]
+        parts.append(part)
+    return _path(parts)
+
+
+def _translate(error: Mapping[str, Any]) -> tuple[str, str]:
+    """Message of an error of pydantic, and what is allowed."""
+    kind, limits = str(error["type"]), error.get("ctx", {})
+    bounds = [words.format(limits[name]) for name, words in BOUNDS.items() if name in limits]
+    lengths = [words.format(count=limits[name]) for name, words in LENGTHS.items() if name in limits]
+    if bounds:
+        told = OUT_OF_RANGE, bounds[0]
+    elif lengths:
+        told = N_("too long") if "max_length" in limits else N_("too short"), lengths[0]
+    elif kind == "literal_error":
+        told = N_("unknown value"), str(limits["expected"]).replace("'", "")
+    elif kind == "string_pattern_mismatch" and limits["pattern"].startswith("^[^"):
+        told = N_("not a name"), N_("text without control characters")
+    elif kind == "string_pattern_mismatch":
+        told = N_("not an id"), N_("letters, digits, - and _")
+    elif "UploadFile" in error["msg"]:
+        told = N_("wrong kind of value"), N_("a file")
+    else:
+        other = str(error["msg"]).removeprefix("Value error, ")
+        known = {"missing": N_("missing"), "extra_forbidden": N_("unknown key")}
+        kinds = (each[1:] for each in WRONG_KIND if kind.startswith(each[0]))
+        told = next(kinds, (known.get(kind, other), ""))
+    return told
+
+
 def install(app: FastAPI) -> None:
     """Install the exception handlers of an application."""
 
@@ -102,15 +186,21 @@ def install(app: FastAPI) -> None:
         if first["type"] == "json_invalid":
             why = str(first.get("ctx", {}).get("error", "")).lower()
             return answer(422, {"message": f"not JSON: {why}", "field": "body", "allowed": "a JSON object"})
-        field = _path(first["loc"]) or "body"
-        refused = first.get("ctx", {}).get("error")
-        if isinstance(refused, InputError):
-            return answer(422, detail_of(refused) | {"field": field})
-        return answer(422, {"message": first["msg"], "field": field, "value": plain(first.get("input"))})
+        place, found = first["loc"][:1], error.errors()
+        if place == ("body",):
+            found = [each | {"loc": each["loc"][1:]} for each in found if each["loc"][:1] == place]
+            wanted = getattr(request.scope.get("route"), "body_field", None)
+            shape = wanted.field_info.annotation if wanted else None
+            shape = shape if isinstance(shape, type) and issubclass(shape, BaseModel) else None
+            return answer(422, detail_of(refusal_of(found, error.body, shape)))
+        found = [each | {"loc": each["loc"][1:]} for each in found]
+        return answer(422, detail_of(refusal_of(found, None)))
 
     @app.exception_handler(HTTPException)
     async def http(request: Request, error: HTTPException) -> JSONResponse:
         told: dict[str, Any] = {"message": str(error.detail)}
+        if error.status_code == UNREADABLE:
+            told = {"message": "not JSON", "field": "body", "allowed": "a JSON object"}
         if error.status_code == METHOD_NOT_ALLOWED:
             allowed = (error.headers or {}).get("Allow")
             told = {"message": "not allowed here", "field": "method", "value": request.method}
@@ -125,9 +215,9 @@ def install(app: FastAPI) -> None:
 
 
 def _path(parts: Sequence[Any]) -> str:
-    """Dotted path of a field without its first part: ``body.line`` becomes ``line``."""
+    """Dotted path of a field."""
     text = ""
-    for part in parts[1:] if parts and parts[0] in {"body", "query", "path", "header"} else parts:
+    for part in parts:
         text += f"[{part}]" if isinstance(part, int) else f".{part}" if text else str(part)
     return text
 

@@ -22,7 +22,7 @@ from pydantic import BaseModel, ValidationError
 
 from metropilot.errors import InputError
 from metropilot.policy import POLICY_FILE
-from metropilot.web.errors import Refused
+from metropilot.web.errors import Refused, refusal_of
 from metropilot.web.schemas.requests import (
     CampaignIn,
     CompareIn,
@@ -473,7 +473,7 @@ def _take_job(told: dict[str, Any], files: dict[str, bytes], ids: dict[str, str]
     except InputError:
         raise
     except (ValidationError, ValueError, TypeError, RecursionError) as error:
-        words = str(error.errors()[0]["msg"]) if isinstance(error, ValidationError) else str(error)
+        words = str(refusal_of(error.errors(), None) if isinstance(error, ValidationError) else error)
         raise InputError(f"not usable: {words[:120]}", file=INDEX, field=field, value=key[:80]) from None
 
 

@@ -15,7 +15,7 @@ from metropilot.errors import InputError, MetropilotError
 from metropilot.evaluate import POLICY, parse_driver, run_fields
 from metropilot.units import J_PER_KWH, KMH_PER_MPS, Unit
 from metropilot.web import catalogue
-from metropilot.web.errors import Refused
+from metropilot.web.errors import Refused, place_of, refusal_of
 from metropilot.web.pages.frame import Problem, prop_of, set_quietly
 from metropilot.web.pages.numbers import NumberField, Slider
 from metropilot.web.pages.strip import names
@@ -99,19 +99,22 @@ def validate(kind: type[Body], values: dict[str, Any], **scales: float) -> Body:
     try:
         return kind.model_validate(values)
     except ValidationError as error:
-        first = error.errors()[0]
-        name = str(first["loc"][0])
-        refused = first.get("ctx", {}).get("error")
-        if isinstance(refused, InputError) and name not in scales:
-            raise refused from None
-        if first["type"] == "finite_number":
-            raise InputError("not a number", field=name) from None
-        bounded = isinstance(refused, InputError) or first["type"].startswith(("greater", "less"))
-        if len(first["loc"]) == 1 and bounded:
-            scale = scales.get(name, 1.0)
-            told = {"value": first["input"] * scale, "allowed": describe_range(kind, name, scale)}
-            raise InputError("out of range", field=name, **told) from None
-        raise InputError(first["msg"], field=name, value=str(first["input"])) from None
+        found = error.errors()
+        refused, name = refusal_of(found, values, kind), place_of(found[0], values)
+        declared = isinstance(found[0].get("ctx", {}).get("error"), InputError)
+        if is_bounded(kind, name) and (name in scales or not declared):
+            scale, given = scales.get(name, 1.0), values.get(name)
+            number = isinstance(given, int | float) and not isinstance(given, bool) and math.isfinite(given)
+            told = given * scale if number and scale != 1.0 else refused.value
+            allowed = describe_range(kind, name, scale)
+            raise InputError(refused.message, field=name, value=told, allowed=allowed) from None
+        raise refused from None
+
+
+def is_bounded(kind: type[BaseModel], name: str) -> bool:
+    """Tell whether a field of a request is a number with a least value."""
+    told = kind.model_json_schema()["properties"].get(name, {})
+    return bool({"minimum", "exclusiveMinimum"} & set(told.get("anyOf", [told])[0]))
 
 
 class RestrictionForm:
@@ -674,7 +677,8 @@ class DriverOptions:
         with self.place:
             for key, value in values.items():
                 self.inputs[key] = self.field(key, value)
-                self.problem.beside(f"set {key}", self.inputs[key], self.fold)
+                for place in (f"set {key}", f"options.{key}"):
+                    self.problem.beside(place, self.inputs[key], self.fold)
         if given:
             self.fold.open()
 
