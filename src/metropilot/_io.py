@@ -89,7 +89,7 @@ def read_text(path: Path, field: str | None = None) -> str:
         allowed = f"at most {MAX_TEXT_BYTES}"
         raise InputError("too large", file=path, field=field, value=size, unit="bytes", allowed=allowed)
     try:
-        return data.decode("utf-8").replace("\r\n", "\n")
+        return data.decode("utf-8-sig").replace("\r\n", "\n")
     except UnicodeDecodeError:
         raise InputError("not UTF-8 text", file=path, field=field, allowed="UTF-8") from None
 

@@ -348,6 +348,7 @@ def test_json(tmp_path, document, path, value, words):
     [
         ("a.toml", b"kind = ", "not valid TOML"),
         ("a.toml", b"\xff\xfe", "not UTF-8"),
+        ("a.toml", b"\xef\xbb\xbfx = 1", "missing"),
         ("a.json", b'{"stops": NaN}', "not valid JSON"),
         ("a.json", b'{"stops": Infinity}', "not valid JSON"),
         ("a.json", b"[1, 2]", "not a JSON object"),

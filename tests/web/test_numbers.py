@@ -61,6 +61,7 @@ def test_either_mark_is_read(text, number):
         "12,34,567",
         "nan",
         "inf",
+        "1_1",
     ],
 )
 def test_what_is_no_number_or_may_be_two_is_refused_in_one_line(text):

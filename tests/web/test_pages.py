@@ -3,6 +3,7 @@
 import asyncio
 import gc
 import math
+import tomllib
 
 import pytest
 from nicegui import Client, core, ui
@@ -15,16 +16,19 @@ from metropilot.drivers import DRIVERS
 from metropilot.errors import InputError
 from metropilot.evaluate import SERIES_STYLES, RunSpec, driver_styles
 from metropilot.operation import OperationOptions, SlowSection, TrainHold
-from metropilot.railway import Restriction
+from metropilot.railway import Restriction, document_text, parse_document, toml_text
 from metropilot.sim import Disturbance, TimetableUpdate
 from metropilot.units import KINDS
+from metropilot.web.errors import Refused
 from metropilot.web.live.session import Session
 from metropilot.web.pages.compare import outcome
 from metropilot.web.pages.convoy import ConvoyPage, member_outcome
+from metropilot.web.pages.document import grid_of
 from metropilot.web.pages.drive import DrivePage
 from metropilot.web.pages.fit import FitPage
 from metropilot.web.pages.form import describe_range, validate
 from metropilot.web.pages.frame import frame
+from metropilot.web.pages.journey import JourneyPage
 from metropilot.web.pages.numbers import NumberField
 from metropilot.web.pages.operation import OperationPage
 from metropilot.web.pages.plots import (
@@ -113,7 +117,7 @@ def test_a_form_shows_what_is_declared(monkeypatch, tmp_path):
             displayed = unit.from_si if unit else float
             hint = field.props["hint"].replace(" ", "")
             assert f"{displayed(spec.range.low):.10g}" in hint, name
-            if spec.range.high < 1e9 and name != "count":  # the server has its own bound of that
+            if spec.range.high < 1e9 and name not in {"count", "zones"}:  # those of server and line
                 assert f"{displayed(spec.range.high):.10g}" in hint, name
             assert field.props["step"] == pytest.approx(displayed(spec.step)), name
             own = {} if kind is SlowSection else defaults
@@ -443,3 +447,44 @@ def test_a_refusal_names_the_field_its_value_and_what_is_allowed(kind, values, t
     with pytest.raises(InputError) as refused:
         validate(kind, values)
     assert str(refused.value).startswith(told)
+
+
+def test_a_field_that_was_emptied_shows_the_number_it_stands_for(tmp_path):
+    async def story(service):
+        shown = DrivePage(service, None)
+        shown.build()
+        fields = shown.disturbances.inputs
+        for field in fields.values():
+            field.value = None
+            field.sanitize()
+        return {name: field.value for name, field in fields.items()}
+
+    values = on_page(story, tmp_path)
+    assert (values["seed"], values["headwind_mps"], values["mass_factor"]) == (0, 0.0, 1.0)
+
+
+def test_a_row_of_a_campaign_that_is_no_number_is_refused_on_the_page(tmp_path):
+    async def story(service):
+        with pytest.raises(Refused) as refused:
+            DrivePage(service, None).row_request("leaderboard", "abc")
+        return str(refused.value)
+
+    assert on_page(story, tmp_path) == "row: no such row: 'abc' (allowed: a whole number)"
+
+
+def test_a_journey_of_stations_by_name_is_shown(tmp_path):
+    async def story(service):
+        shown = JourneyPage(service, None)
+        shown.build()
+        shown.restore(JourneyIn(origin="Rongjing East Street", destination="XHM").model_dump())
+        return shown.fields["origin"].value, shown.fields["destination"].value
+
+    assert on_page(story, tmp_path) == ("RJ", "XHM")
+
+
+def test_a_load_without_a_mass_is_refused_by_name():
+    document = tomllib.loads(document_text("trainset", "dkz32"))
+    grid = grid_of("mass", "loads", document["mass"]["loads"], {})
+    document["mass"]["loads"] = grid.put([["AW0", None], ["AW2", 250.0]])
+    with pytest.raises(InputError, match=r"mass\.loads\.AW0: must be a number"):
+        parse_document(toml_text(document), None)

@@ -8,12 +8,15 @@ import pytest
 
 from metropilot.cli.convoy import convoy_command
 from metropilot.errors import InputError
+from metropilot.railway import load_line
+from metropilot.web import catalogue
 from metropilot.web import service as services
 from metropilot.web.errors import Refused
-from metropilot.web.schemas.requests import ConvoyIn, DriveIn, FitIn
+from metropilot.web.schemas.requests import ConvoyIn, DriveIn, FitIn, OperationIn
 from metropilot.web.service import Service
 from metropilot.web.settings import Settings
-from metropilot.web.store import JobStore
+from metropilot.web.store import JobStore, outcome_words
+from metropilot.web.work.learning import PROGRESS
 
 
 @pytest.fixture
@@ -77,8 +80,34 @@ def test_a_convoy_has_the_control_period_of_the_command_line():
     assert ConvoyIn().dt_s == inspect.signature(convoy_command).parameters["dt_s"].default
 
 
+@pytest.mark.parametrize("line", ["zurich-stadelhofen", "yizhuang"])
+def test_a_line_has_no_more_zones_than_sections_where_the_request_leaves_it_open(service, line):
+    sections = len(load_line(line).stations) - 1
+    job = service.submit(OperationIn(line=line))
+    assert service.store.job(job).request["zones"] == min(4, sections)
+    with pytest.raises(InputError, match="zones"):
+        service.submit(OperationIn(line=line, zones=sections + 1))
+
+
+def test_a_random_trainset_is_no_upload(service):
+    assert catalogue.trainset_out(service, "drawn-1-1")["uploaded"] is False
+
+
+def test_a_history_that_is_being_written_is_shown(service, monkeypatch):
+    run = service.root / "runs" / "ppo-1"
+    run.mkdir(parents=True)
+    (run / PROGRESS).write_text('{"steps": 1, "score": 2.0}\n{"steps": 2, "sco')
+    monkeypatch.setattr(catalogue, "run_out", lambda *_: None)
+    assert catalogue.history(service, "ppo-1") == {"steps": [1], "score": [2.0]}
+
+
 def test_a_text_is_found_with_all_its_characters(service):
     job = service.store.new_job("drive", {"line": "yizhuang"})
     assert [row.id for row in service.store.jobs(text="YIZHUANG")] == [job]
     for text in ("\x00", "%", "_", "\\"):
         assert service.store.jobs(text=text) == []
+
+
+def test_an_outcome_says_what_was_not_met():
+    assert outcome_words("arrived", ["on time", "jerk"]) == "arrived: not on time, jerk"
+    assert outcome_words("arrived", []) == "arrived"

@@ -141,7 +141,9 @@ def trainset_out(service: Service, key: str) -> dict[str, Any]:
     Raises:
         Refused: No such trainset (404).
     """
-    return _trainset_out(trainset(service, key), key, uploaded=key not in list_trainsets())
+    return _trainset_out(
+        trainset(service, key), key, uploaded=key.partition("@")[0] in service.paths("trainset")
+    )
 
 
 def _trainset_out(found: Trainset, key: str, *, uploaded: bool) -> dict[str, Any]:
@@ -224,10 +226,14 @@ def run_out(service: Service, key: str) -> dict[str, Any]:
     """
     from metropilot.learn import RunStore
 
-    found = [r for r in RunStore(service.root / "runs").recent(limit=10_000) if r.id == key]
-    if not found:
+    runs = RunStore(service.root / "runs")
+    try:
+        found = runs.show(key)
+    except InputError:
+        found = None
+    if found is None or found.id != key:  # the store also takes the beginning of an id
         raise Refused("no such run", 404, field="id", value=key)
-    return _run_out(found[0])
+    return _run_out(found)
 
 
 def _run_out(record: Any) -> dict[str, Any]:  # noqa: ANN401 (a RunRecord, whose module is imported late)
@@ -244,8 +250,9 @@ def history(service: Service, key: str) -> dict[str, list[float | None]]:
     path = folder / PROGRESS
     if path.exists():
         for text in path.read_text(encoding="utf-8").splitlines():
-            row = json.loads(text)
-            rows[row["steps"]] = row
+            with suppress(ValueError):  # the last one is still being written
+                row = json.loads(text)
+                rows[row["steps"]] = row
         names = list(dict.fromkeys(name for row in rows.values() for name in row))
         ordered = [rows[steps] for steps in sorted(rows)]
         return {name: numbers([_number(row.get(name)) for row in ordered]) for name in names}

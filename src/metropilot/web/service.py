@@ -12,7 +12,7 @@ from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from traceback import print_exception
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 from pydantic import BaseModel
 
@@ -21,7 +21,7 @@ from metropilot.errors import InputError
 from metropilot.evaluate import POLICY, RunSpec, parse_driver
 from metropilot.operation import OperationOptions
 from metropilot.policy import POLICY_FILE
-from metropilot.railway import document_text, list_lines, list_trainsets
+from metropilot.railway import document_text, list_lines, list_trainsets, load_line
 from metropilot.web.errors import Refused, detail_of
 from metropilot.web.live.session import Session, Spare, place_words, start_spare
 from metropilot.web.pools import LONG, Pools, explain
@@ -53,6 +53,7 @@ if TYPE_CHECKING:
     from metropilot.convoy import ConvoyRequest
     from metropilot.web.live.line import RunningRequest
 
+Line = TypeVar("Line", OperationIn, RunningLineIn)
 SUFFIXES = (".toml", ".json", ".safetensors", LOG_SUFFIX)
 WATCH_S = 10.0
 """Time between two looks at live runs that nobody watches or that wait."""
@@ -492,6 +493,8 @@ class Service:
             Refused: Too many jobs wait, or too many of the user (429); a viewer (403).
         """
         self.check_room()
+        if isinstance(body, OperationIn):
+            body = self._with_zones(body)
         if isinstance(body, LearnIn):
             self._check_learning(body)
             kind = "learn"
@@ -525,6 +528,13 @@ class Service:
         job = self.store.new_job(kind, values, self.check_room)
         self._schedule(job, kind, *work)
         return job
+
+    def _with_zones(self, body: Line) -> Line:
+        """A request with as many feeding zones as its line has sections, where it leaves that open."""
+        if "zones" in body.model_fields_set:
+            return body
+        sections = len(load_line(self.path("line", body.line)).stations) - 1
+        return body.model_copy(update={"zones": min(body.zones, sections)})
 
     def stop(self, job: str) -> None:
         """Stop a job: a learning run at its next checkpoint, any other job at once."""
@@ -669,6 +679,8 @@ class Service:
             Refused: Too many live runs wait (429), or it failed to start (422).
         """
         self.check_limits(jobs=1)
+        if isinstance(body, RunningLineIn):
+            body = self._with_zones(body)
         await self.stop_abandoned()
         drives, request = self._live_request(body)
         if len(self.queue) >= self.settings.queued_jobs:

@@ -17,6 +17,7 @@ from metropilot._io import open_database
 from metropilot.units import J_PER_KWH
 from metropilot.web.errors import Refused
 from metropilot.web.users import check_may_change, present_user
+from metropilot.web.words.language import N_
 
 SCHEMA = """
 CREATE TABLE IF NOT EXISTS jobs (
@@ -474,15 +475,31 @@ def _job(row: tuple[Any, ...]) -> JobRow:
     return JobRow(**found | {"request": json.loads(found["request"]), "summary": found["summary"] or {}})
 
 
+FAILED = {
+    "on time": N_("not on time"),
+    "stops at the mark": N_("not at the mark"),
+    "no overspeed": N_("overspeed"),
+    "no intervention": N_("intervention"),
+    "no contact": N_("contact"),
+    "couples and parts in time": N_("not coupled and parted in time"),
+}
+"""Words for a requirement that was failed, where they are not its name."""
+
+
+def outcome_words(outcome: str, failed: Sequence[str]) -> str:
+    """Outcome of a run with the requirements that it failed."""
+    said = ", ".join(FAILED.get(name, name) for name in failed)
+    return f"{outcome}: {said}" if said else outcome
+
+
 def summarise(result: Any) -> dict[str, Any]:  # noqa: ANN401 (whatever the job's kind gives)
     """Result in short: outcome with failed requirements, success, time, energy at the wheel, gap."""
     if "kpis" in result:  # a drive, or a convoy, whose running time is that of its head
         k = result["kpis"]
         head = {**(k.get("trainsets") or [{}])[0], **k}
         gap = k.get("optimality_gap_percent", k.get("joint_gap_percent"))
-        failed = ": " + ", ".join(k["failed"]) if k.get("failed") else ""
         found = {
-            "outcome": k["outcome"] + failed,
+            "outcome": outcome_words(k["outcome"], k.get("failed", ())),
             "success": result["success"],
             "time_s": head.get("running_time_s"),
         }

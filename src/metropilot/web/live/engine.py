@@ -35,7 +35,7 @@ LATE_W = 500.0
 SHORT = ("driver", "success", "kpis", "checks")
 PERMITTED_STEP_M = 5.0
 """Resolution of the permitted speed that is drawn."""
-NEAREST_STEP_M = 5.0
+NEAREST_STEP_M = 20.0
 """Resolution of the nearest possible begin of a restriction that a refusal names."""
 Event = dict[str, Any]
 
@@ -239,7 +239,7 @@ class Engine:
     def _nearest(self, restriction: Restriction) -> float | None:
         """Nearest possible begin of the restriction, m; None if there is none."""
         first = np.ceil(float(self.rollout.state.plant.position_m) / NEAREST_STEP_M) * NEAREST_STEP_M
-        for at in np.arange(first, self.rollout.section.length_m, 4 * NEAREST_STEP_M):
+        for at in np.arange(first, self.rollout.section.length_m - 1.0, NEAREST_STEP_M):
             if self._in_time(replace(restriction, from_m=float(at), to_m=float(at) + 1.0)):
                 return float(at)
         return None

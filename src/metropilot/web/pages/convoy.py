@@ -39,7 +39,7 @@ from metropilot.web.pages.plots import convoy_figure, finished_convoy_figure
 from metropilot.web.pages.strip import section_strip
 from metropilot.web.schemas.requests import ConvoyIn, NewLink
 from metropilot.web.service import Service
-from metropilot.web.store import JobRow
+from metropilot.web.store import JobRow, outcome_words
 from metropilot.web.words.language import N_, _, translate_each
 from metropilot.web.words.said import retell
 from metropilot.web.words.tables import number
@@ -326,7 +326,7 @@ class ConvoyPage:
 def member_outcome(member: dict[str, Any]) -> tuple[str, str]:
     """Outcome of one trainset with the requirements that it failed, and its style."""
     failed = member.get("failed", ())
-    words = ": ".join([member["outcome"].replace("_", " "), *([", ".join(failed)] if failed else [])])
+    words = outcome_words(member["outcome"].replace("_", " "), failed)
     words = retell(words)
     return (f"✗ {words}", "mp-fail") if failed else (f"✓ {words}", "mp-pass")
 

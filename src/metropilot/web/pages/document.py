@@ -209,7 +209,8 @@ def _rows(rows: list[list[Any]]) -> list[list[Any]]:
 
 
 def _loads(rows: list[list[Any]]) -> dict[str, Any]:
-    return {format_value(name): mass for name, mass in rows if name is not None}
+    # a load without a mass stays, so that its field is named where it is checked
+    return {format_value(name): "" if mass is None else mass for name, mass in rows if name is not None}
 
 
 def _stations(rows: list[list[Any]]) -> list[dict[str, Any]]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Awaitable
 from typing import Any
 
@@ -105,7 +106,7 @@ class DrivePage:
         lost: Error of a link that cannot be followed.
     """
 
-    def __init__(self, service: Service, run: str | None, of_campaign: tuple[str, int] | None = None) -> None:
+    def __init__(self, service: Service, run: str | None, of_campaign: tuple[str, str] | None = None) -> None:
         self.service = service
         self.of_campaign = of_campaign
         self.row: JobRow | None = None
@@ -263,7 +264,7 @@ class DrivePage:
             if self.row is not None:
                 self.restore(self.row.request)
             elif self.of_campaign is not None:
-                self.restore(evidence.row_request(self.service, *self.of_campaign))
+                self.restore(self.row_request(*self.of_campaign))
         except MetropilotError as error:
             self.lost = error
         await self.form.load()
@@ -282,6 +283,16 @@ class DrivePage:
                 self.departure.show(error_of(self.row.error))
         if self.lost is not None:
             self.departure.show(self.lost)
+
+    def row_request(self, campaign: str, row: str) -> dict[str, Any]:
+        """Request of a row of a campaign.
+
+        Raises:
+            MetropilotError: No such campaign or row.
+        """
+        if not re.fullmatch("[0-9]{1,9}", row):
+            raise Refused("no such row", 404, field="row", value=row, allowed="a whole number")
+        return evidence.row_request(self.service, campaign, int(row))
 
     def restore(self, body: dict[str, Any]) -> None:
         """Fill the form with the request of a run.
@@ -626,7 +637,7 @@ def install(service: Service) -> None:
         line: str | None = None,
         trainset: str | None = None,
         campaign: str | None = None,
-        row: int = 0,
+        row: str = "0",
     ) -> RedirectResponse | None:
         page = DrivePage(service, run, None if campaign is None else (campaign, row))
         if page.row is not None and not catalogue.page_of(page.row).startswith("/?"):

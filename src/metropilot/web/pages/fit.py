@@ -282,9 +282,7 @@ class FitPage:
                 files = [(name, f"/api/jobs/{row.id}/files/{name}") for name in FILES["fit"]]
                 links([*files, ("run.zip", f"/api/jobs/{row.id}/files/run.zip")])
             self.build_save(row)
-            with card(
-                _("Residuals"), _("Measured and simulated speed; what remains; how long it stays alike.")
-            ):
+            with card(_("Residuals"), _("Measured and simulated speed; what remains; its autocorrelation.")):
                 drawn = residual_figure(found["residuals"], found["residual_mps"])
                 plot(drawn).props('data-test="residuals"')
 

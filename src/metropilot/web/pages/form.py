@@ -82,6 +82,7 @@ def number_field(kind: type[BaseModel], name: str, unit: Unit | None = None, **m
         "step": (unit.from_si(spec.step) if unit else spec.step) or None,
     }
     made = NumberField(**declared | more)
+    made.usual = declared["value"]
     return made.props("outlined dense").props(prop_of("hint", describe_range(kind, name, scale)))
 
 
@@ -621,6 +622,7 @@ class DisturbanceForm(FoldedNumbers):
         if self.seed is not None:
             words = _("empty: {seed}, that of the linked run", seed=self.seed)
             self.inputs["seed"].props(prop_of("hint", words))
+            self.inputs["seed"].usual = None
         super().restore(body if self.seed is None else body | {"seed": None})
 
 
@@ -677,6 +679,8 @@ class DriverOptions:
         with self.place:
             for key, value in values.items():
                 self.inputs[key] = self.field(key, value)
+                if isinstance(self.inputs[key], NumberField):
+                    self.inputs[key].usual = self.plain[key]
                 for place in (f"set {key}", f"options.{key}"):
                     self.problem.beside(place, self.inputs[key], self.fold)
         if given:

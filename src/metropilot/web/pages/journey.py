@@ -154,14 +154,19 @@ class JourneyPage:
         Raises:
             MetropilotError: Its line or trainset does not exist any more.
         """
+        line = catalogue.line(self.service, body["line"])
         self.line = catalogue.line_out(self.service, body["line"])
         aboard = loads(self.service, body["trainset"])
         stops = names(self.line["stops"])
         ends = list(stops)
+        origin, destination = (
+            line.station(body[name]).code if body[name] else end
+            for name, end in (("origin", ends[0]), ("destination", ends[-1]))
+        )
         with set_quietly(self):
             self.fields["line"].value, self.fields["trainset"].value = body["line"], body["trainset"]
-        self.fields["origin"].set_options(stops, value=body["origin"] or ends[0])
-        self.fields["destination"].set_options(stops, value=body["destination"] or ends[-1])
+        self.fields["origin"].set_options(stops, value=origin)
+        self.fields["destination"].set_options(stops, value=destination)
         self.fields["load"].set_options(aboard, value=body["load"] or next(iter(aboard)))
         self.way.value = "timetable" if body["total_s"] is None else "optimum"
         self.total.value = body["total_s"]

@@ -41,7 +41,7 @@ def parse_number(text: str) -> float | None:
         allowed = f"{plain.replace(',', '')} or {plain.replace(',', '.')}"
         raise InputError("thousands or decimals", value=text, allowed=allowed)
     try:
-        found = float(_with_point(plain))
+        found = math.nan if "_" in plain else float(_with_point(plain))
     except ValueError:
         found = math.nan
     if not math.isfinite(found):
@@ -79,6 +79,7 @@ class NumberField(ui.number):
 
     def __init__(self, *args: Any, **values: Any) -> None:  # noqa: ANN401 (those of a number field)
         self.typed = ""
+        self.usual: float | None = None
         super().__init__(*args, **values)
         self.props("type=text inputmode=decimal role=spinbutton autocomplete=off")
 
@@ -99,8 +100,13 @@ class NumberField(ui.number):
         return None
 
     def sanitize(self) -> None:
-        """Bound the number when the field is left; what is no number stays to be mended."""
-        if self.number is not None:
+        """Bound the number when the field is left; what is no number stays to be mended.
+
+        An empty field shows the number that it stands for.
+        """
+        if self.value is None and self.usual is not None:
+            self.value = self.usual
+        elif self.number is not None:
             super().sanitize()
 
     def _handle_value_change(self, value: Any) -> None:  # noqa: ANN401 (as in its base)

@@ -148,7 +148,11 @@ class OperationPage:
     def fill_names(self) -> None:
         """Offer the days and feedings of the line."""
         line = self.fields["line"].value
-        name = catalogue.line(self.service, line).id
+        found = catalogue.line(self.service, line)
+        name, sections = found.id, len(found.stations) - 1
+        usual = OperationIn.model_fields["zones"].get_default()
+        self.zones.usual = self.zones.value = min(usual, sections)
+        self.zones.props(prop_of("hint", _("{least} to {most}", least=1, most=sections)))
         days = {row["id"]: row["name"] for row in catalogue.day_rows() if row["line"] == name}
         fed = {row["id"]: row["name"] for row in self.feedings if line in row["lines"]}
         self.fields["day"].set_options({"": _("One headway"), **days}, value="")

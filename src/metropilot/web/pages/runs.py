@@ -87,7 +87,7 @@ class RunList:
         """Place the list."""
         with card(
             _("Live runs"),
-            _("One that no viewer for {minutes} min is stopped.", minutes=f"{ABANDONED_S / 60:g}"),
+            _("A run without a viewer for {minutes} min is stopped.", minutes=f"{ABANDONED_S / 60:g}"),
             late=True,
         ):
             self.problem = Problem()

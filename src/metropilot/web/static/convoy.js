@@ -43,6 +43,7 @@
       this.part("level").className = worst ? "v mp-fail" : "v";
       const svg = this.root.querySelector(".mp-strip svg"), boxes = svg ? svg.querySelectorAll(".mp-convoy rect") : [];
       boxes.forEach((box, k) => { box.style.transform = `translateX(${(+svg.dataset.scale * last.position_m[k]).toFixed(2)}px)`; });
+      if (svg) this.follow(svg, +svg.dataset.scale * last.position_m[0]);
       this.draw((Plotly, el) => {
         const fresh = this.kept.slice(this.drawn), pairs = last.gap_m.length, xs = fresh.map((r) => r.time_s);
         this.drawn = this.kept.length;

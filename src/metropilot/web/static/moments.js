@@ -36,9 +36,9 @@
       this.part("level").className = row.level ? "v mp-fail" : "v";
       const train = this.root.querySelector(".mp-train"), svg = train && train.closest("svg");
       if (train) {
-        const along = +svg.dataset.scale * row.position_m, box = svg.parentElement.closest(".mp-strip");
+        const along = +svg.dataset.scale * row.position_m;
         train.style.transform = `translateX(${along.toFixed(2)}px)`;
-        if (box.scrollWidth > box.clientWidth) box.scrollLeft = ((+svg.dataset.x0 + along) / 1000) * box.scrollWidth - box.clientWidth / 2;
+        this.follow(svg, along);
       }
       return told;
     }

@@ -35,6 +35,12 @@
       if (unit) { const small = document.createElement("small"); small.textContent = ` ${unit}`; part.append(small); }
     }
 
+    // A strip that is wider than the screen follows its trainset.
+    follow(svg, along) {
+      const box = svg.parentElement.closest(".mp-strip");
+      if (box.scrollWidth > box.clientWidth) box.scrollLeft = ((+svg.dataset.x0 + along) / 1000) * box.scrollWidth - box.clientWidth / 2;
+    }
+
     // What is to be drawn is drawn in order, once the picture is there: the emptying first, not over what was drawn.
     draw(use) {
       this.todo.push(use);
