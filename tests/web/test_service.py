@@ -2,6 +2,7 @@
 
 import asyncio
 import inspect
+import logging
 from concurrent.futures import Future
 
 import pytest
@@ -13,6 +14,7 @@ from metropilot.web import catalogue
 from metropilot.web import service as services
 from metropilot.web.errors import Refused
 from metropilot.web.schemas.requests import ConvoyIn, DriveIn, FitIn, OperationIn
+from metropilot.web.server import is_news
 from metropilot.web.service import Service
 from metropilot.web.settings import Settings
 from metropilot.web.store import JobStore, outcome_words
@@ -111,3 +113,10 @@ def test_a_text_is_found_with_all_its_characters(service):
 def test_an_outcome_says_what_was_not_met():
     assert outcome_words("arrived", ["on time", "jerk"]) == "arrived: not on time, jerk"
     assert outcome_words("arrived", []) == "arrived"
+
+
+@pytest.mark.parametrize(("error", "news"), [(asyncio.CancelledError(), False), (OSError("full"), True)])
+def test_a_page_that_is_open_at_the_end_is_no_error_of_the_server(error, news):
+    record = logging.LogRecord("uvicorn.error", logging.ERROR, "", 0, "", (), (type(error), error, None))
+    assert is_news(record) is news
+    assert is_news(logging.LogRecord("uvicorn.error", logging.INFO, "", 0, "", (), None))

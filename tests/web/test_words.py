@@ -197,6 +197,11 @@ def test_every_refusal_that_a_page_can_show_is_translated(tool, language):
         ("positions of a profile must increase", "纵断面的位置必须递增"),
         ("cannot be read (no such file)", "无法读取（没有这样的文件）"),
         ("a job that is running cannot be deleted; stop it first", "运行中的任务不能删除；请先停止"),
+        ("dead time and lag cannot be told apart", "纯延时与惯性 无法区分"),
+        ("235 m or further", "235 m 或更远"),
+        ("1 to 3, one for each section", "1 至 3，每个区间一个"),
+        (">= 0.15 m/s^2 left on the fall", "下坡时剩余制动 >= 0.15 m/s^2"),
+        ("a whole number or true or false", "整数 或 true 或 false"),
     ],
 )
 def test_a_refusal_with_a_name_in_it_is_retold(text, wanted):

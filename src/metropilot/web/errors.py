@@ -135,14 +135,14 @@ def refusal_of(
 def place_of(error: Mapping[str, Any], body: object) -> str:
     """Dotted path of the field that an error is about, without pydantic's names of kinds."""
     parts: list[Any] = []
-    known = body is not None
+    known, at = body is not None, body
     for part in error["loc"]:
         if known:
-            inside = isinstance(body, Mapping) and part in body
-            inside |= isinstance(body, list | tuple) and isinstance(part, int) and part < len(body)
+            inside = isinstance(at, Mapping) and part in at
+            inside |= isinstance(at, list | tuple) and isinstance(part, int) and part < len(at)
             if not inside and not (error["type"] == "missing" and part == error["loc"][-1]):
                 continue
-            body = body[part] if inside else None  # pyright: ignore[reportIndexIssue]
+            at = at[part] if inside else None  # pyright: ignore[reportIndexIssue, reportOptionalSubscript]
         parts.append(part)
     return _path(parts)
 

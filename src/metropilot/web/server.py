@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import asyncio
+import logging
 import re
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
@@ -116,6 +118,11 @@ def make_app(settings: Settings) -> ASGIApp:
     return Guard(app, settings)
 
 
+def is_news(record: logging.LogRecord) -> bool:
+    """Tell whether a record of the log is more than that an open page was closed at the end."""
+    return not (record.exc_info and isinstance(record.exc_info[1], asyncio.CancelledError))
+
+
 def serve(settings: Settings) -> None:
     """Run the server until it is interrupted.
 
@@ -124,6 +131,7 @@ def serve(settings: Settings) -> None:
     """
     import uvicorn
 
+    logging.getLogger("uvicorn.error").addFilter(is_news)
     uvicorn.run(
         make_app(settings),
         host=settings.host,

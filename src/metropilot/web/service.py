@@ -534,7 +534,7 @@ class Service:
         if "zones" in body.model_fields_set:
             return body
         sections = len(load_line(self.path("line", body.line)).stations) - 1
-        return body.model_copy(update={"zones": min(body.zones, sections)})
+        return body.model_copy(update={"zones": min(body.model_dump()["zones"], sections)})
 
     def stop(self, job: str) -> None:
         """Stop a job: a learning run at its next checkpoint, any other job at once."""

@@ -104,9 +104,10 @@ def validate(kind: type[Body], values: dict[str, Any], **scales: float) -> Body:
         refused, name = refusal_of(found, values, kind), place_of(found[0], values)
         declared = isinstance(found[0].get("ctx", {}).get("error"), InputError)
         if is_bounded(kind, name) and (name in scales or not declared):
-            scale, given = scales.get(name, 1.0), values.get(name)
-            number = isinstance(given, int | float) and not isinstance(given, bool) and math.isfinite(given)
-            told = given * scale if number and scale != 1.0 else refused.value
+            scale, told = scales.get(name, 1.0), refused.value
+            given = values.get(name)
+            if scale != 1.0 and isinstance(given, float) and math.isfinite(given):
+                told = given * scale
             allowed = describe_range(kind, name, scale)
             raise InputError(refused.message, field=name, value=told, allowed=allowed) from None
         raise refused from None

@@ -227,6 +227,13 @@ WORDS = (
     N_("runs of different sections cannot be compared"),
     N_("needs too much memory; use a smaller request"),
     N_("the worker died, most likely of too little memory"),
+    N_("each time later than the one before"),
+    N_("a finite number, or an empty cell for a gap"),
+    N_("three coefficients: constant, linear, quadratic in speed"),
+    N_("letters, digits and . _ - @ , +"),
+    N_("text without quotation marks, backslashes, */ and control characters"),
+    N_("a JSON object"),
+    N_("minimum running time"),
 )
 SENTENCES = (
     # status and progress of a job
@@ -361,8 +368,16 @@ SENTENCES = (
     N_("{name} keeps {size} MB of runs and uploads, {more} MB more do not fit; delete some"),
     N_("at most {count}"),
     N_("at most {size} MB"),
-    N_("{first} or {second}"),
     N_("took longer than {time} s; use a smaller request"),
+    # what is allowed
+    N_(">= {number} m/s^2 left on the fall"),
+    N_("{distance} m or further"),
+    N_("1 to {count}, one for each section"),
+    N_("{names} cannot be told apart"),
+    N_("{names} cannot be estimated"),
+    N_("longer logs with traction, coasting and braking, or keep: {names}"),
+    N_("the plan's solver stopped: {reason}"),
+    N_("{first} or {second}"),
 )
 JOINTS = (N_("; "), N_(": "), N_(", "), " · ", " × ", N_(" and "))
 """Separators of sentences, and of words in a row; what they part is translated as far as it is known."""
