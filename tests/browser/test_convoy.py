@@ -23,6 +23,8 @@ def test_a_convoy_whose_link_falls_silent(visit, width):
     choose(page, "Pace", "10 ×")
     until(lambda: number(page, "age") > 5)
     expect(convoy).to_have_attribute("data-status", "done", timeout=240_000)
+    seen = "el => el.scrollWidth <= el.clientWidth || el.scrollLeft > el.clientWidth / 2"
+    assert convoy.locator(".mp-strip").evaluate(seen), "the strip follows the trainsets"
     result = page.locator('[data-test="result"]')
     expect(result.get_by_role("row", name="no contact")).to_contain_text("✓ passed")
     expect(result.locator('[aria-label="Trainsets"] tbody tr')).to_have_count(3)

@@ -335,6 +335,17 @@ def test_pages_are_there_and_load_nothing_from_elsewhere(server, path):
     assert "metropilot" in answer.text
 
 
+def test_what_is_no_page_is_said_on_one(server):
+    answers = [
+        server.client.get("/nowhere", headers={"cookie": f"metropilot_language={language}"})
+        for language in ("en", "zh")
+    ]
+    assert [answer.status_code for answer in answers] == [404, 404]
+    for words, answer in zip(("no such page", "没有这个页面"), answers, strict=True):
+        assert words in answer.text
+    assert "HTTPException" not in answers[0].text + answers[1].text
+
+
 def test_what_is_no_route_is_told_in_the_same_shape(server):
     refusal_of(server.get("/api/nowhere", code=404), "path")
     refusal_of(server.post("/api/nowhere", {}, code=404), "path")
@@ -478,6 +489,20 @@ def test_a_refusal_says_what_is_allowed(server, method, path, body, field, allow
     assert answer.status_code in {400, 422}, answer.text
     error = refusal_of(answer.json(), field)
     assert error["allowed"].startswith(allowed), error
+
+
+@pytest.mark.parametrize(
+    ("body", "field"),
+    [
+        ({"line": "nowhere"}, "line"),
+        ({"driver": "manual", "options": {"speed": 3}}, "options"),
+        ({"driver": "learned"}, "options.policy"),
+    ],
+)
+def test_a_refusal_offers_what_a_request_can_send(server, body, field):
+    error = refusal_of(server.post("/api/jobs/drive", body, code=422), field)
+    assert "path" not in (error["allowed"] or "").lower()
+    assert "--set" not in str(error)
 
 
 def test_a_form_without_a_file_says_so(server):

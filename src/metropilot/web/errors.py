@@ -44,6 +44,25 @@ def detail_of(error: Exception) -> dict[str, Any]:
     return {"message": message, **{name: plain(getattr(error, name, None)) for name in FIELDS}}
 
 
+OFFERS = {
+    ", or a path ending in .toml or .json": "",
+    "--set policy=PATH, a policy file, or the folder or id of a learning run": "the id of a learning run "
+    "or of an uploaded policy",
+}
+"""What the library allows and a request cannot send: no file of the server is named over HTTP."""
+
+
+def http_detail_of(error: Exception) -> dict[str, Any]:
+    """Convert an error to plain values with the names that a request has."""
+    told = detail_of(error)
+    if told["field"] == "set" or str(told["field"]).startswith("set "):
+        told["field"] = told["field"].replace("set", "options", 1).replace(" ", ".", 1)
+    for words, other in OFFERS.items():
+        if told["allowed"]:
+            told["allowed"] = told["allowed"].replace(words, other)
+    return told
+
+
 def error_of(told: Mapping[str, Any]) -> InputError:
     """Convert plain values of :func:`detail_of` back to an error."""
     return InputError(told["message"], **{name: told.get(name) for name in FIELDS})
@@ -211,7 +230,7 @@ def install(app: FastAPI) -> None:
 
     @app.exception_handler(MetropilotError)
     async def ours(_: Request, error: MetropilotError) -> JSONResponse:
-        return answer(getattr(error, "status", 422), detail_of(error))
+        return answer(getattr(error, "status", 422), http_detail_of(error))
 
 
 def _path(parts: Sequence[Any]) -> str:
