@@ -698,7 +698,7 @@ class Service:
         else:
             limit = partial(self.check_limits, jobs=1)
             if not self.store.update(job, limit, RESUMABLE, status="queued", words="", error=None):
-                raise Refused("a live that is queued cannot be resumed", 409, field="id", value=job)
+                raise Refused("a live run that is queued cannot be resumed", 409, field="id", value=job)
             order |= {"journal": self.store.journal(job), "step": int(self.store.job(job).progress)}
         order["job"] = job
         session = Session(
