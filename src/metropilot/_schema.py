@@ -157,7 +157,7 @@ def check_fields(values: Any) -> None:  # noqa: ANN401 (any dataclass)
         spec.check(name, getattr(values, name))
 
 
-class Checked:
+class CheckedFields:
     """Base of dataclasses whose only check is that of their fields."""
 
     def __post_init__(self) -> None:

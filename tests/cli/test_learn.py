@@ -195,7 +195,7 @@ BAD = [
     (("learn", "--resume", "nowhere"), "no such run"),
     (("learn", "--resume", "."), "not the folder of a learning run"),
     (("export", "optimal"), "the driver has no policy of its own"),
-    (("export", "nowhere"), "no such run"),
+    (("export", "nowhere"), "no such driver or run"),
     (("export", "nowhere.safetensors"), "No such file"),
     (("export", "learned"), "the driver has no policy of its own"),
     (("export", "optimal", "--to", "pickle"), "allowed: onnx, c, wasm"),

@@ -198,8 +198,8 @@ def convoy_of_body(service, values):
 
 
 def typed_convoy(request):
-    """A request as HTTP defaults it: a period of 0.2 s, two trainsets, 130 s."""
-    return replace(request, head=replace(request.head, dt_s=0.2, time_s=130.0))
+    """A request as HTTP defaults it: two trainsets, 130 s."""
+    return replace(request, head=replace(request.head, time_s=130.0))
 
 
 @pytest.mark.parametrize(("name", "value", "disturbance"), GIVEN, ids=VALUES)

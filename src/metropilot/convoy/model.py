@@ -8,7 +8,7 @@ from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 
-from metropilot._schema import Checked, FieldSpec, Range, check_fields, declare
+from metropilot._schema import CheckedFields, FieldSpec, Range, check_fields, declare
 from metropilot._typing import Array
 from metropilot.errors import InputError
 from metropilot.physics import Track, Vehicle, effort_at, namespace, track_arrays, vehicle_arrays
@@ -22,7 +22,7 @@ EARLY_S = 1e-4
 
 
 @dataclass(frozen=True)
-class Link(Checked):
+class Link(CheckedFields):
     """Quality of the link. Messages are sent once per control period.
 
     Command line and HTTP put ``link`` before the names: the disturbance of a trainset has a delay too.

@@ -17,13 +17,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar, final, get_args
 
-from metropilot._schema import Checked, declare
+from metropilot._schema import CheckedFields, declare
 from metropilot.drivers.optimal import Optimal, OptimalOptions
 from metropilot.planning import Objective
 
 
 @dataclass(frozen=True)
-class MpcOptions(Checked):
+class MpcOptions(CheckedFields):
     """Options of ``mpc``: period and objective of the plan.
 
     Attributes:

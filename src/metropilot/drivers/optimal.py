@@ -8,7 +8,7 @@ from typing import ClassVar, get_args
 
 import numpy as np
 
-from metropilot._schema import Checked, declare
+from metropilot._schema import CheckedFields, declare
 from metropilot.control import (
     LAG_STOP,
     STOP_OPTIONS,
@@ -60,7 +60,7 @@ from metropilot.sim import AbstractDriver, Observation, Run
 
 
 @dataclass(frozen=True)
-class OptimalOptions(Checked):
+class OptimalOptions(CheckedFields):
     """Options of ``optimal``: the plan, and how closely it is followed.
 
     Attributes:

@@ -14,7 +14,7 @@ from copy import copy
 from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple
 
-from metropilot._schema import Checked, declare
+from metropilot._schema import CheckedFields, declare
 from metropilot._typing import Array
 from metropilot.control import (
     CHENG2023_GAINS,
@@ -84,7 +84,7 @@ class TrackingView(NamedTuple):
 
 
 @dataclass(frozen=True)
-class AbstractTrackingOptions(Checked):
+class AbstractTrackingOptions(CheckedFields):
     """Options of a tracking driver: the reference it follows and its assists.
 
     Attributes:

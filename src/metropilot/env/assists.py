@@ -12,7 +12,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import lru_cache
 
-from metropilot._schema import Checked, declare
+from metropilot._schema import CheckedFields, declare
 from metropilot._typing import Flag, Index, Scalar
 from metropilot.control import (
     AT_ONCE_MPS3,
@@ -43,7 +43,7 @@ SHARED_M = 10.0
 
 
 @dataclass(frozen=True)
-class Assists(Checked):
+class Assists(CheckedFields):
     """Assists of a task.
 
     Attributes:

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, get_args, get_type_hints
 
 from metropilot._io import read_text
-from metropilot._schema import Checked, FieldSpec, check_name, convert, declare, field_specs, field_type
+from metropilot._schema import CheckedFields, FieldSpec, check_name, convert, declare, field_specs, field_type
 from metropilot.drivers import DRIVERS
 from metropilot.errors import InputError, rename_fields
 from metropilot.planning import Objective
@@ -31,7 +31,7 @@ POLICY = "policy"
 
 
 @dataclass(frozen=True)
-class RunSpec(Checked):
+class RunSpec(CheckedFields):
     """All inputs of a run.
 
     Attributes:

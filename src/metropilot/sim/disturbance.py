@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import MISSING, dataclass, replace
 from typing import Any, no_type_check
 
-from metropilot._schema import Checked, declare
+from metropilot._schema import CheckedFields, declare
 from metropilot._typing import Array, Scalar
 from metropilot.physics import Vehicle, namespace
 from metropilot.railway import Actuation, Davis, EffortCurve, Restriction, Trainset
@@ -92,7 +92,7 @@ NOISE_CUT = 3.0
 
 
 @dataclass(frozen=True)
-class TimetableUpdate(Checked):
+class TimetableUpdate(CheckedFields):
     """Change of the arrival time or a temporary speed restriction (TSR) announced during the run.
 
     Attributes:
@@ -115,7 +115,7 @@ class TimetableUpdate(Checked):
 
 
 @dataclass(frozen=True)
-class Disturbance(Checked):
+class Disturbance(CheckedFields):
     """Difference between a run and the data that driver and planner have.
 
     Each field is declared once, here, with its name, unit, range and help text. Command line, `run.toml`,

@@ -6,7 +6,7 @@ from dataclasses import MISSING, dataclass, field
 from enum import Enum
 from typing import NamedTuple
 
-from metropilot._schema import Checked, declare
+from metropilot._schema import CheckedFields, declare
 from metropilot.protection import Bounds
 from metropilot.railway import Section, Trainset
 from metropilot.sim.disturbance import Disturbance
@@ -29,7 +29,7 @@ class Outcome(Enum):
 
 
 @dataclass(frozen=True)
-class Run(Checked):
+class Run(CheckedFields):
     """One trip from a stop to the next.
 
     Attributes:

@@ -7,7 +7,7 @@ from typing import NamedTuple, final, no_type_check
 
 import numpy as np
 
-from metropilot._schema import Checked, declare
+from metropilot._schema import CheckedFields, declare
 from metropilot._typing import Scalar
 from metropilot.control import PredictedState
 from metropilot.convoy.drivers.base import closing_mps
@@ -22,7 +22,7 @@ FORGET = 0.995
 
 
 @dataclass(frozen=True)
-class FollowGapOptions(Checked):
+class FollowGapOptions(CheckedFields):
     """Options of :class:`FollowGap`.
 
     Attributes:

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple, final, no_type_check
 import numpy as np
 from numpy import ndarray
 
-from metropilot._schema import Checked, declare
+from metropilot._schema import CheckedFields, declare
 from metropilot._typing import Array, Scalar
 from metropilot.control import PredictedState
 from metropilot.convoy.drivers.base import closing_mps
@@ -33,7 +33,7 @@ is closed at the speed that can still be braked."""
 
 
 @dataclass(frozen=True)
-class FollowMpcOptions(Checked):
+class FollowMpcOptions(CheckedFields):
     """Weights of the programme.
 
     Attributes:

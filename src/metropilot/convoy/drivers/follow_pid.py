@@ -7,7 +7,7 @@ from typing import final, no_type_check
 
 import numpy as np
 
-from metropilot._schema import Checked, declare
+from metropilot._schema import CheckedFields, declare
 from metropilot._typing import Array, Scalar
 from metropilot.control import Errors, Gains, incremental_pid
 from metropilot.convoy.drivers.base import AbstractFollower, waits
@@ -53,7 +53,7 @@ def gains_of(action: Array) -> Gains:
 
 
 @dataclass(frozen=True)
-class FollowPidOptions(Checked):
+class FollowPidOptions(CheckedFields):
     """Gains of the PID, 1/(m/s); the best of a grid within Chen23b's bounds on its own run.
 
     Attributes:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import final, no_type_check
 
-from metropilot._schema import Checked, declare
+from metropilot._schema import CheckedFields, declare
 from metropilot._typing import Scalar
 from metropilot.control import PredictedState
 from metropilot.convoy.drivers.base import Memory, closing_mps
@@ -17,7 +17,7 @@ from metropilot.physics import namespace
 
 
 @dataclass(frozen=True)
-class FollowPlanOptions(Checked):
+class FollowPlanOptions(CheckedFields):
     """Options of :class:`FollowPlan`.
 
     Attributes:

@@ -17,7 +17,7 @@ from typing import Any, ClassVar, NamedTuple, cast, final
 
 import numpy as np
 
-from metropilot._schema import Checked, declare
+from metropilot._schema import CheckedFields, declare
 from metropilot._typing import Index, Scalar
 from metropilot.control import (
     Ceiling,
@@ -379,7 +379,7 @@ def _follow_fall(ground: ExpertTrack, ahead: PredictedState, dt: float) -> float
 
 
 @dataclass(frozen=True)
-class EitoeOptions(Checked):
+class EitoeOptions(CheckedFields):
     """Prior knowledge of the expert about the brake.
 
     Attributes:

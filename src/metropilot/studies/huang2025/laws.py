@@ -32,7 +32,7 @@ from typing import Any, NamedTuple, no_type_check
 
 import numpy as np
 
-from metropilot._schema import Checked, declare
+from metropilot._schema import CheckedFields, declare
 from metropilot._typing import Array, Float, Scalar
 from metropilot.control import (
     AT_ONCE_MPS3,
@@ -80,7 +80,7 @@ OBSERVED = 7
 
 
 @dataclass(frozen=True)
-class ExpertRules(Checked):
+class ExpertRules(CheckedFields):
     """The expert's constants.
 
     Attributes:

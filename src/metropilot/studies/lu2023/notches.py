@@ -25,7 +25,7 @@ import numpy as np
 from numpy import ndarray
 from scipy.optimize import brentq
 
-from metropilot._schema import Checked, declare
+from metropilot._schema import CheckedFields, declare
 from metropilot._typing import Float, Int
 from metropilot.errors import Infeasible, InputError
 from metropilot.physics import track_arrays, vehicle_arrays
@@ -43,7 +43,7 @@ JUMP = 1e-6
 
 
 @dataclass(frozen=True)
-class NotchOptions(Checked):
+class NotchOptions(CheckedFields):
     """Options of the programme.
 
     Attributes:
