@@ -22,12 +22,12 @@ from metropilot.convoy.model import (
     transmit,
 )
 from metropilot.convoy.request import ConvoyRequest
-from metropilot.convoy.rollout import HeadRun, drive_convoy
+from metropilot.convoy.rollout import DrivenHead, HeadRun, drive_convoy
 from metropilot.errors import InputError
 from metropilot.evaluate import RunSpec
 from metropilot.physics import vehicle_arrays
 from metropilot.railway import Restriction, load_line, load_trainset
-from metropilot.sim import Disturbance, Outcome, Run, TimetableUpdate, declared_bounds
+from metropilot.sim import AbstractDriver, Disturbance, Outcome, Run, TimetableUpdate, declared_bounds
 
 DT = 0.2
 MASSES = tuple(Disturbance(mass_factor=factor) for factor in (0.8, 1.2, 0.8))
@@ -257,3 +257,19 @@ def test_no_contact_under_every_disturbance_in_a_mixed_convoy_with_a_dead_time()
     assert found.contacts == 0
     assert found.gap_min_m.min() > 0.05
     assert found.emergencies.sum() > 30
+
+
+def test_a_head_whose_command_is_no_number_is_named():
+    class Wordy(AbstractDriver):
+        id = "wordy"
+
+        def init(self, run):
+            return None
+
+        def act(self, memory, observation):
+            return "a", None
+
+    request = ConvoyRequest(RunSpec("yizhuang", "RJ", "WYJ", time_s=130.0), count=2)
+    convoy = request.convoy()
+    with pytest.raises(InputError, match="driver: a command that is no number: \"wordy: 'a'\""):
+        drive_convoy(convoy, DrivenHead(request.run(convoy), Wordy()), request.make_follower(), 0)

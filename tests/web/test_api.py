@@ -187,7 +187,7 @@ def test_a_day_of_a_line_gives_a_gtfs_feed(server):
     ],
 )
 def test_a_line_that_cannot_be_operated_is_refused_at_once(server, body, field):
-    refusal_of(server.post("/api/jobs/line", body, code=422), field)
+    assert refusal_of(server.post("/api/jobs/line", body, code=422), field)["message"]
 
 
 @pytest.mark.parametrize(
@@ -210,7 +210,7 @@ def test_a_line_that_cannot_be_operated_is_refused_at_once(server, body, field):
     ],
 )
 def test_what_cannot_be_used_is_named(server, body, field):
-    refusal_of(server.post("/api/jobs/drive", body, code=422), field)
+    assert refusal_of(server.post("/api/jobs/drive", body, code=422), field)["message"]
 
 
 def test_an_upload_is_used_like_any_line(server, tmp_path):
@@ -347,8 +347,8 @@ def test_what_is_no_page_is_said_on_one(server):
 
 
 def test_what_is_no_route_is_told_in_the_same_shape(server):
-    refusal_of(server.get("/api/nowhere", code=404), "path")
-    refusal_of(server.post("/api/nowhere", {}, code=404), "path")
+    answers = server.get("/api/nowhere", code=404), server.post("/api/nowhere", {}, code=404)
+    assert [refusal_of(each, "path")["field"] for each in answers] == ["path", "path"]
 
 
 @pytest.mark.parametrize(

@@ -46,6 +46,7 @@ from metropilot.sim import (
     Trajectory,
     noise_stream,
     outcome_of,
+    read_command,
 )
 
 STAND_S = 3.0
@@ -212,8 +213,9 @@ class HeadDriver:
             section=self.section,
             intervention=0 if watched is None else int(watched.level),
         )
-        share, memory = self.driver.act(memory, observation)
-        return float(share) * (self.traction_share if share > 0.0 else 1.0), memory
+        given, memory = self.driver.act(memory, observation)
+        share = read_command(self.driver, given)
+        return share * (self.traction_share if share > 0.0 else 1.0), memory
 
     def note(self, before: MemberState, after: MemberState, time_s: float) -> None:
         """Record the end of a period: whether the run is over, and how."""

@@ -19,7 +19,7 @@ FARTHEST_M = 200_000.0
 """Largest position that a restriction may have in a section."""
 RELEASE_KMH = (3.0, 40.0)
 """Release speeds that a line may have, km/h."""
-MOST_BEHIND_M = 300.0
+MOST_BEYOND_M = 300.0
 """Largest distance of the end of the movement authority beyond a stop, m."""
 
 
@@ -137,7 +137,7 @@ class MovementAuthority:
     def __post_init__(self) -> None:
         low, high = RELEASE_KMH
         for name, value, unit, least, most in (
-            ("distance", self.distance_m, "m", 0.0, MOST_BEHIND_M),
+            ("distance", self.distance_m, "m", 0.0, MOST_BEYOND_M),
             ("release_speed", KMH_PER_MPS * self.release_mps, "km/h", low, high),
         ):
             if not least - 1e-6 <= value <= most + 1e-6:

@@ -6,6 +6,7 @@ from .disturbance import TimetableUpdate as TimetableUpdate
 from .disturbance import true_vehicle as true_vehicle
 from .driver import DRIVER_REGISTRY as DRIVER_REGISTRY
 from .driver import AbstractDriver as AbstractDriver
+from .driver import read_command as read_command
 from .driver import register as register
 from .outcome import CODES as CODES
 from .outcome import NEVER_ENDS as NEVER_ENDS

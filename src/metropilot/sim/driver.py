@@ -56,8 +56,8 @@ class AbstractDriver(ABC):
         return None
 
 
-def command_share(driver: AbstractDriver, given: object) -> float:
-    """Command of a driver as a number; protection makes one that is not finite a full service brake.
+def read_command(driver: AbstractDriver, given: object) -> float:
+    """Read the command of a driver as a number; protection makes one that is not finite a full service brake.
 
     Raises:
         InputError: It is no number at all.

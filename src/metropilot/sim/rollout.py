@@ -16,7 +16,7 @@ from metropilot.protection import Protection, Verdict, at_start, permitted_speed
 from metropilot.railway import Section, Trainset
 from metropilot.sim.bounds import declared_bounds
 from metropilot.sim.disturbance import TimetableUpdate
-from metropilot.sim.driver import AbstractDriver, command_share
+from metropilot.sim.driver import AbstractDriver, read_command
 from metropilot.sim.outcome import CODES, RUNNING, OutcomeRule, final_outcome
 from metropilot.sim.run import Observation, Outcome, Run
 from metropilot.sim.step import RunParams, RunState, control_period, first_state, noise_stream, running_time
@@ -216,7 +216,7 @@ class Rollout:
         else:
             share = self.by_hand
         self.decision_us.append((perf_counter_ns() - began) / 1e3)
-        return Command(command_share(self.driver, share), False), memory
+        return Command(read_command(self.driver, share), False), memory
 
     def noise(self) -> float:
         """Error of the next measured speed in standard deviations, from the run's own stream."""
@@ -357,7 +357,7 @@ def simulate_nominal(run: Run, driver: AbstractDriver) -> NominalDrive:
     def decide(memory: Any, state: RunState) -> tuple[Command, Any]:  # noqa: ANN401 (a driver's memory)
         permitted = float(permitted_speed(guard, float(state.plant.position_m)))
         share, memory = driver.act(memory, observation_of(params, state, run.section, permitted))
-        return Command(command_share(driver, share), False), memory
+        return Command(read_command(driver, share), False), memory
 
     plant = at_rest(vehicle, delay_steps=delay_steps(float(vehicle.delay_s), run.dt))
     state, memory = first_state(plant, at_start(guard)), driver.init(run)

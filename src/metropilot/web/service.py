@@ -53,7 +53,7 @@ if TYPE_CHECKING:
     from metropilot.convoy import ConvoyRequest
     from metropilot.web.live.line import RunningRequest
 
-Line = TypeVar("Line", OperationIn, RunningLineIn)
+Operated = TypeVar("Operated", OperationIn, RunningLineIn)
 SUFFIXES = (".toml", ".json", ".safetensors", LOG_SUFFIX)
 WATCH_S = 10.0
 """Time between two looks at live runs that nobody watches or that wait."""
@@ -529,7 +529,7 @@ class Service:
         self._schedule(job, kind, *work)
         return job
 
-    def _with_zones(self, body: Line) -> Line:
+    def _with_zones(self, body: Operated) -> Operated:
         """A request with as many feeding zones as its line has sections, where it leaves that open."""
         if "zones" in body.model_fields_set:
             return body

@@ -17,7 +17,7 @@ from metropilot.errors import InputError
 from metropilot.railway.formats.reader import ANY, NOT_NEGATIVE, POSITIVE, Column, Node, Range
 from metropilot.railway.journey import Journey, TimingPoint
 from metropilot.railway.line import (
-    MOST_BEHIND_M,
+    MOST_BEYOND_M,
     RELEASE_KMH,
     Curve,
     Line,
@@ -34,7 +34,7 @@ SPEED_LIMIT = Range(0.0, 150.0, above=True)
 GRADIENT = Range(-150.0, 150.0)
 CURVATURE = Range(-0.1, 0.1)
 RADIUS = Range(infinite=True)
-BEHIND = Range(0.0, MOST_BEHIND_M)
+BEYOND = Range(0.0, MOST_BEYOND_M)
 RELEASE = Range(RELEASE_KMH[0] / KMH_PER_MPS, RELEASE_KMH[1] / KMH_PER_MPS)
 POINT_FIELDS = (("earliest", "time"), ("latest", "time"), ("slowest", "speed"), ("fastest", "speed"))
 _WIDTH = 110
@@ -164,7 +164,7 @@ def read_line(root: Node) -> Line:
 def _authority(block: Node) -> MovementAuthority:
     usual = MovementAuthority()
     return MovementAuthority(
-        block.quantity("distance", "length", BEHIND, usual.distance_m),
+        block.quantity("distance", "length", BEYOND, usual.distance_m),
         block.quantity("release_speed", "speed", RELEASE, usual.release_mps),
     )
 
