@@ -5,8 +5,10 @@ import dataclasses
 import numpy as np
 import pytest
 from tests.planning import cases
+from tests.sections import section_of
 
 from metropilot.planning import PlanOptions, minimum_running_time, optimal_plan
+from metropilot.railway import load_trainset
 
 
 @pytest.mark.parametrize("ratio", [1.02, 1.1, 1.3, 1.6])
@@ -37,6 +39,21 @@ def test_no_simulated_drive_beats_the_bound_and_the_best_comes_close():
     assert len(above) > 7
     assert min(above) > -1e-3  # the plant's 0.1 s steps hold forces that the plan must lower
     assert min(above) < 0.01
+
+
+@pytest.mark.parametrize("permil", [10.0, 25.0, 35.0])
+@pytest.mark.parametrize("ratio", [1.6, 2.0, 3.0])
+def test_a_valley_with_much_time_is_driven_in_that_time(permil, ratio):
+    """The resistance was that of another speed: up to 88 s early, 10 % above what is possible."""
+    section = section_of(1200.0, {0.0: 80.0}, {0.0: -permil, 600.0: permil})
+    trainset = load_trainset("dkz32")
+    time_s = ratio * minimum_running_time(section, trainset)
+    plan = optimal_plan(section, trainset, time_s)
+    assert plan.running_time_s == pytest.approx(time_s, abs=0.05)
+    assert plan.tightness < 1e-3
+    assert plan.bound_j <= plan.energy_j
+    # more time costs no energy
+    assert plan.energy_j <= optimal_plan(section, trainset, time_s - 10.0).energy_j * (1 + 1e-4)
 
 
 @pytest.mark.parametrize("stops", [("RJ", "WYJ"), ("JHL", "CQN"), ("SJZ", "XC")])

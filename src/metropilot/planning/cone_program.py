@@ -39,6 +39,8 @@ from metropilot.planning.prices import Prices
 clarabel: Any = _clarabel
 """The solver ships no type information."""
 SLOWEST_J = 1e-4
+DRAG_LEAST_J = 0.5
+"""Kinetic energy, J/kg, below which the tangent of a drag is not taken: it would rise too steeply."""
 SOFT_START = 6 ** (4 / 3) / 8
 """Under a constant jerk J from rest ``v^2/2 = SOFT_START * J^(2/3) * x^(4/3)``."""
 
@@ -134,6 +136,9 @@ class Programme:
         late_w: Price of a second later than the last bound, W per kg, or None to forbid it.
         strictly_early: True to linearise lower time bounds about the last iterate, rather than put them on
             the time variables, which may exceed the true times where going slower saves nothing.
+        linear_drag: True to take the linear part of the resistance at the tangent of ``sqrt(2 E)`` about the
+            last iterate, rather than at ``v``, which may lie below it where time is worth less than drag.
+        secant_speeds: True to add the secant ``v >= 2 E / cap`` of each node, which every drive keeps.
     """
 
     mesh: Mesh
@@ -152,6 +157,8 @@ class Programme:
     release_mps3: float | None = None
     late_w: float | None = None
     strictly_early: bool = False
+    linear_drag: bool = False
+    secant_speeds: bool = False
 
 
 @dataclass(frozen=True)
@@ -260,8 +267,8 @@ def solve_together(
     cost, constant = sum(each for each, _ in costs), sum(each for _, each in costs)
 
     rows = ConstraintRows()
-    for p, at, _ in parts:
-        _equalities(p, rows, at)
+    for p, at, energy in parts:
+        _equalities(p, rows, at, energy)
     equal, clocks = rows.count, []
     for p, at, energy in parts:
         _effort_rows(p, rows, at, energy)
@@ -400,23 +407,25 @@ def _price_rows(p: Programme, rows: ConstraintRows, at: dict[str, ndarray]) -> N
         rows.add([(at["gain"][some], 1.0), clock], 0.0, some.size)
 
 
-def _equalities(p: Programme, rows: ConstraintRows, at: dict[str, ndarray]) -> None:
+def _equalities(p: Programme, rows: ConstraintRows, at: dict[str, ndarray], energy: ndarray) -> None:
     """Dynamics on each segment, and the speeds at the ends and stops."""
     here = p.loads.segment
     ds, (a, b, quad) = p.mesh.length_m[here], p.loads.davis
     e, v = at["E"], at["v"]
-    rows.add(
-        [
-            (e[here + 1], 1 / ds + quad),
-            (e[here], -1 / ds + quad),
-            (v[here + 1], 0.5 * b),
-            (v[here], 0.5 * b),
-            (at["f"], -1.0),
-            (at["b"], 1.0),
-        ],
-        -a - p.loads.slope_mps2,
-        here.size,
-    )
+    constant = -a - p.loads.slope_mps2
+    terms: list[tuple[ndarray, ndarray | float]] = [
+        (e[here + 1], 1 / ds + quad),
+        (e[here], -1 / ds + quad),
+    ]
+    if p.linear_drag:
+        about = np.sqrt(2 * np.maximum(energy, DRAG_LEAST_J))
+        for node in (here + 1, here):
+            terms.append((e[node], 0.5 * b / about[node]))
+            constant = constant - 0.25 * b * about[node]
+    else:
+        terms += [(v[here + 1], 0.5 * b), (v[here], 0.5 * b)]
+    terms += [(at["f"], -1.0), (at["b"], 1.0)]
+    rows.add(terms, constant, here.size)
     nodes = _pinned_nodes(p)
     speeds = np.zeros(nodes.size)
     speeds[0], speeds[-1] = p.start_mps, p.end_mps
@@ -454,6 +463,9 @@ def _motion_rows(p: Programme, rows: ConstraintRows, at: dict[str, ndarray]) -> 
     if p.floor_mps is not None:
         above = inner[p.floor_mps[inner] > 0]
         rows.add([(at["v"][above], -1.0)], -p.floor_mps[above], above.size)
+    if p.secant_speeds:
+        free = np.setdiff1d(inner, _pinned_nodes(p))
+        rows.add([(e[free], 2.0 / p.cap_mps[free]), (at["v"][free], -1.0)], 0.0, free.size)
     acceleration, deceleration = (
         lowest_service_rate(p.table, p.mesh, braking=braking) for braking in (False, True)
     )

@@ -42,6 +42,10 @@ ENERGY_TOLERANCE = 1e-3
 BINDING_TOLERANCE = 1e-4
 """Distance from an effort curve, relative to its largest force, at which it counts as met."""
 EARLY_S = 0.01
+LOOSE_GAP, LOOSE_S = 5e-4, 0.1
+"""Excess over the bound and time left unused that are due to speeds below the kinetic energies."""
+TIGHT = 1e-3
+"""Relative distance of the speeds from the kinetic energies up to which the cones count as met."""
 MESH_TOLERANCE = 2e-4
 """Share of the minimum running time by which a plan may be late: what meshes and tables differ by."""
 SLOW_PER_M = 1e-6
@@ -399,18 +403,61 @@ def iterate(
         release_mps3=options.release_mps3,
         late_w=late_w,
     )
-    if options.objective == "line" and any(map(is_mapped, loads.vehicles)):
-        answer, count = follow_map(base, energy)
-        return _evaluate(vehicle, table, mesh, answer, options, count, late_w)
-    answer, count = solve_until_settled(base, energy, options.passes)
-    if _uses_less_time(base, answer):
-        answer, count = _use_full_running_time(base, answer), count + 1
+    answer, count = _solve(base, energy, options)
+    if _slack(answer) > TIGHT and _drives_otherwise(base, answer, _evaluate(base, answer, options, count)):
+        base, answer, more = _tighten(base, answer, options)
+        count += more
     if _too_early(base, answer):
         # the bound without the stricter rows stays one with them
         strict = replace(base, strictly_early=True)
         kept, more = solve_until_settled(strict, answer.energy, options.passes)
         answer, count = replace(kept, dual=answer.dual), count + more
-    return _evaluate(vehicle, table, mesh, answer, options, count, late_w)
+    return _evaluate(base, answer, options, count)
+
+
+def _solve(base: Programme, energy: ndarray, options: PlanOptions) -> tuple[Answer, int]:
+    """Solve a programme about an energy until it settles; the answer and the number of passes."""
+    if options.objective == "line" and any(map(is_mapped, base.loads.vehicles)):
+        return follow_map(base, energy)
+    answer, count = solve_until_settled(base, energy, options.passes)
+    if _uses_less_time(base, answer):
+        return _use_full_running_time(base, answer), count + 1
+    return answer, count
+
+
+def _tighten(base: Programme, loose: Answer, options: PlanOptions) -> tuple[Programme, Answer, int]:
+    """A plan with the resistance of its own speeds, where the answer has speeds below ``sqrt(2 E)``.
+
+    Where time is worth less than drag, as in a valley in which the limit is reached by rolling, the programme
+    gains from a resistance at a speed it does not have. The plan then takes the resistance by its tangent
+    over kinetic energy, which lies above it: every answer can be driven. The bound is that of the programme
+    with the secant of the speeds, which is nearest to them of all that is convex.
+
+    Returns:
+        The programme of the plan, its answer and the number of passes.
+    """
+    secant = replace(base, secant_speeds=True)
+    strict = replace(base, linear_drag=True)
+    try:
+        kept, more = _solve(strict, loose.energy, options)
+    except NoSolution:
+        # a tangent may ask for more than full traction gives
+        return base, loose, 1
+    bound, count = _solve(secant, loose.energy, options)
+    return strict, replace(kept, dual=max(loose.dual, bound.dual)), count + more
+
+
+def _drives_otherwise(base: Programme, answer: Answer, plan: Plan) -> bool:
+    """True if the answer's own speeds cost more than its bound or leave time unused, by what counts."""
+    if plan.energy_j < NOTHING_J:
+        return False
+    seconds = float(times(base.mesh, answer.energy).sum() - answer.time.sum())
+    return plan.gap > LOOSE_GAP or seconds < -LOOSE_S
+
+
+def _slack(answer: Answer) -> float:
+    """Largest distance of the answer's speeds from its kinetic energies, relative to the largest energy."""
+    return float((2 * answer.energy - answer.speed**2).max()) / max(float(2 * answer.energy.max()), 1e-9)
 
 
 def solve_until_settled(base: Programme, energy: ndarray, passes: int = PASSES) -> tuple[Answer, int]:
@@ -445,7 +492,7 @@ def _curves_fit(base: Programme, energy: ndarray, answer: Answer) -> bool:
 
     A tangent matters only where it binds, and there it is the curve itself if the energy has not moved.
     """
-    if base.jerk_mps3 is not None or base.strictly_early:
+    if base.jerk_mps3 is not None or base.strictly_early or base.linear_drag:
         return float(np.max(np.abs(answer.energy - energy))) < ENERGY_TOLERANCE * float(answer.energy.max())
     here = base.loads.segment
     before, after = (0.5 * (e[1:] + e[:-1]) for e in (energy, answer.energy))
@@ -492,22 +539,14 @@ def _use_full_running_time(base: Programme, answer: Answer) -> Answer:
     return replace(solve(replace(base, prices=prices), answer.energy), dual=answer.dual)
 
 
-def _evaluate(
-    vehicle: Vehicle,
-    table: Specific,
-    mesh: Mesh,
-    answer: Answer,
-    options: PlanOptions,
-    passes: int,
-    late_w: float | None,
-) -> Plan:
+def _evaluate(base: Programme, answer: Answer, options: PlanOptions, passes: int) -> Plan:
     """The plan of an answer: its speed profile evaluated by itself, and what the answer says beyond it."""
-    slack = (2 * answer.energy - answer.speed**2) / max(float(2 * answer.energy.max()), 1e-9)
+    vehicle, table = base.loads.vehicles[0], base.table
     return replace(
-        evaluate_profile(vehicle, table, mesh, answer.energy, options),
-        bound_j=(answer.dual - (late_w or 0.0) * answer.late) * table.mass_kg,
+        evaluate_profile(vehicle, table, base.mesh, answer.energy, options),
+        bound_j=(answer.dual - (base.late_w or 0.0) * answer.late) * table.mass_kg,
         second_w=answer.second * table.mass_kg,
-        tightness=float(slack.max()),
+        tightness=_slack(answer),
         passes=passes,
         dwell_s=tuple(float(w) for w in answer.dwell),
     )
