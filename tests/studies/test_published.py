@@ -1,9 +1,12 @@
 """Published pages of the studies are read back whole."""
 
+import importlib
+
 import pytest
 
 from metropilot.errors import InputError
-from metropilot.studies import STUDIES, published_study
+from metropilot.studies import STUDIES, judge_claims, published_study
+from metropilot.studies.page import verdict_numbers
 
 
 @pytest.mark.parametrize("study", STUDIES.ids())
@@ -24,30 +27,17 @@ def test_a_page_is_read_back(study):
             assert (f"{count} {word}" in found.summary.lower()) == (count > 0)
 
 
-def test_rows_without_a_file_are_those_of_the_page(monkeypatch):
-    whole = published_study("lu2023")
-
-    def without(name):
-        if name.endswith("rows.csv"):
-            raise InputError("not published")
-        return real(name)
-
-    from metropilot.studies import page
-
-    real = page.published_file
-    monkeypatch.setattr(page, "published_file", without)
-    rows = {(r.table, r.case, r.driver, r.kpi): r for r in published_study("lu2023").rows}
-    compared = 0
-    for row in whole.rows:
-        other = rows.get((row.table, row.case, row.driver, row.kpi))
-        if other is None:
-            continue
-        compared += 1
-        if row.ours is None:
-            assert other.ours is None
-        else:
-            assert other.ours == pytest.approx(row.ours, rel=0.01, abs=6e-4)
-    assert compared > 50
+@pytest.mark.parametrize("study", STUDIES.ids())
+def test_verdicts_of_a_page_are_those_of_its_rows(study):
+    claims = importlib.import_module(f"metropilot.studies.{study}.study").CLAIMS
+    found = published_study(study)
+    verdicts = judge_claims(claims, found.rows)
+    shown = [(row["claim"], row["ours"], row["rival"], row["verdict"], row["why"]) for row in found.verdicts]
+    numbers = [verdict_numbers(verdict) for verdict in verdicts]
+    assert shown == [
+        (verdict.claim, ours, rival, verdict.verdict, verdict.why)
+        for verdict, (_, ours, _, rival) in zip(verdicts, numbers, strict=True)
+    ]
 
 
 def test_a_study_that_is_not_there_is_refused():

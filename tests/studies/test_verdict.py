@@ -68,6 +68,13 @@ def test_a_claim_is_judged_against_the_published_number(published, aim, verdict)
     assert (found.verdict, found.ours, found.published) == (verdict, 8.0, published)
 
 
+@pytest.mark.parametrize(("published", "verdict"), [(11.0, "beaten"), (8.9, "missed"), (8.0, "matched")])
+def test_an_arrival_nearer_to_its_time_than_the_published_one_beats_it(published, verdict):
+    """An arrival 0.3 s after its time was "missed" beside a published one 2 s before it."""
+    found = judge_claim(Claim("on time", "learned", "error", "c", "same", target=9.0), rows(published))
+    assert (found.verdict, found.why) == (verdict, "aimed at: 9 m")
+
+
 def test_the_strongest_rival_stands_beside_and_says_if_it_wins():
     found = judge_claim(CLAIM, rows())
     assert found.rival is not None

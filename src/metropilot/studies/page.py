@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from metropilot._io import fill_folder, read_text, to_json
 from metropilot._published import published_file
-from metropilot.errors import InputError
 from metropilot.studies.report import LiteralReport, LiteralRow, ReportRow, StudyReport
 from metropilot.studies.study import STUDIES, Study
 from metropilot.studies.verdict import ClaimVerdict, count_verdicts, sum_up_rivals
@@ -263,7 +262,6 @@ def write_docs(folder: Path, study: Study, report: StudyReport) -> None:
 CELL = re.compile(r"(?<!\\)\|")
 FIGURE = re.compile(r"(?m)^!\[(?P<caption>.*)\]\([^/)]+/(?P<name>[a-z0-9_]+\.png)\)$")
 VERDICTS: tuple[str, ...] = ("claim", "unit", "published", "ours", "interval", "rival", "verdict", "why")
-COLUMNS = ("case", "driver", "kpi", "unit", "published", "ours", "range", "optimum")
 
 
 class PublishedFigure(NamedTuple):
@@ -290,7 +288,7 @@ class PublishedStudy:
         written: How and when it was written.
         summary: Verdicts and rivals in words; empty where the paper's claims are not judged.
         verdicts: A row for each claim: ``claim, unit, published, ours, interval, rival, verdict, why``.
-        rows: Every number, as far as the page or its file has it.
+        rows: Every number.
         figures: Its figures.
     """
 
@@ -316,8 +314,7 @@ def published_study(study: str) -> PublishedStudy:
     text = read_text(published_file(f"studies/{study}.md"), "page")
     title = text.partition("\n")[0].removeprefix("# ")
     written = re.search(r"(?m)^Written by .*$", text)
-    sections = dict(_sections(text))
-    judged = sections.get("Verdicts", "")
+    judged = dict(_sections(text)).get("Verdicts", "")
     rows = tuple(dict(zip(VERDICTS, cells, strict=False)) for cells in _read_table(judged))
     figures = [
         PublishedFigure(each["name"], each["caption"], published_file(f"studies/{study}/{each['name']}"))
@@ -325,16 +322,11 @@ def published_study(study: str) -> PublishedStudy:
     ]
     summary = judged.strip().partition("\n")[0].partition(" *Ours*")[0].replace("**", "")
     told = "" if written is None else written[0]
-    return PublishedStudy(study, title, told, summary, rows, _read_rows(study, sections), tuple(figures))
+    return PublishedStudy(study, title, told, summary, rows, _read_rows(study), tuple(figures))
 
 
-def _read_rows(study: str, sections: dict[str, str]) -> tuple[ReportRow, ...]:
-    """Rows of the file beside the page, or else those of the page."""
-    try:
-        path = published_file(f"studies/{study}/{ROWS_FILE}")
-    except InputError:
-        return tuple(row for name, part in sections.items() for row in _page_rows(name, part))
-    with path.open(newline="", encoding="utf-8") as file:
+def _read_rows(study: str) -> tuple[ReportRow, ...]:
+    with published_file(f"studies/{study}/{ROWS_FILE}").open(newline="", encoding="utf-8") as file:
         return tuple(_file_row(row) for row in csv.DictReader(file))
 
 
@@ -345,22 +337,6 @@ def _file_row(row: dict[str, str]) -> ReportRow:
     return ReportRow(
         table, case, driver, kpi, unit, *numbers, values=tuple(value for value in seeds if value is not None)
     )
-
-
-def _page_rows(name: str, part: str) -> Iterator[ReportRow]:
-    """Rows of the table of a section; case and driver stand only where they change."""
-    if "| case | driver | KPI | unit | published | ours | range | optimum |" not in part:
-        return
-    case = driver = ""
-    for cells in _read_table(part):
-        row = dict(zip(COLUMNS, cells, strict=False))
-        if row["case"]:
-            case, driver = row["case"], ""
-        driver = row["driver"].strip("`") or driver
-        published, ours, optimum = (_number(row[key]) for key in ("published", "ours", "optimum"))
-        low, _, high = row["range"].partition(" … ")
-        ends = (_number(low), _number(high)) if high else (ours, ours)
-        yield ReportRow(name, case, driver, row["kpi"], row["unit"], published, ours, *ends, optimum)
 
 
 def _sections(text: str) -> Iterator[tuple[str, str]]:
@@ -377,5 +353,4 @@ def _read_table(part: str) -> Iterator[list[str]]:
 
 
 def _number(text: str | None) -> float | None:
-    text = (text or "").replace("−", "-").replace(",", "")
-    return None if text in {"", NOTHING} else float(text)
+    return float(text) if text else None

@@ -35,6 +35,8 @@ class Claim:
         rounding: Difference from the published value that counts as none; None: ``ROUNDING``.
         chance: Quantity of the same driver and case that holds the p of the claim, where the claim compares
             two learners itself; empty: it does not.
+        target: Value that the paper itself aimed at, as a scheduled time, where the nearer one is the better;
+            None: ``aim`` says it.
     """
 
     words: str
@@ -47,6 +49,7 @@ class Claim:
     untestable: str = ""
     rounding: float | None = None
     chance: str = ""
+    target: float | None = None
 
 
 @dataclass(frozen=True)
@@ -151,6 +154,8 @@ def judge_claim(claim: Claim, rows: Sequence[ReportRow]) -> ClaimVerdict:
     rival = find_rival(claim, row, rows)
     judgement = _against_published(claim, row, low, high)
     why = _rival_words(claim, rival)
+    if claim.target is not None:
+        why = f"aimed at: {claim.target:g} {row.unit}; {why}".rstrip("; ")
     if claim.chance:
         chance = find_row(replace(claim, kpi=claim.chance), claim.driver, rows)
         judgement, why = _judge_chance(judgement, None if chance is None else chance.ours)
@@ -199,9 +204,7 @@ def _against_published(claim: Claim, row: ReportRow, low: float, high: float) ->
     near = claim.rounding if claim.rounding is not None else max(ROUNDING, ROUNDING * abs(published))
     if low - near <= published <= high + near:
         return "matched"
-    if claim.aim == "same":
-        return "missed"
-    better = row.ours < published if claim.aim == "low" else row.ours > published
+    better = _loss(claim, published, row.ours) < _loss(claim, published, published)
     return "beaten" if better else "missed"
 
 
@@ -216,6 +219,8 @@ def _judge_chance(judgement: Judgement, p: float | None) -> tuple[Judgement, str
 
 def _loss(claim: Claim, published: float | None, value: float) -> float:
     """Badness of a value: less is better."""
+    if claim.target is not None:
+        return abs(value - claim.target)
     if claim.aim == "same":
         return abs(value - (published or 0.0))
     return value if claim.aim == "low" else -value

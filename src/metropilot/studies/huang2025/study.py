@@ -111,9 +111,16 @@ EXPERT_RIVALS = (EITOE, BRISK_EITOE, EQUAL_EITOE)
 
 
 def _claim(case: str, driver: str, kpi: str, words: str, aim: Aim = "low") -> Claim:
-    """Claim on a driver in a case; a published time counts as met within a second."""
-    rivals = EXPERT_RIVALS if driver == EITOP and kpi in (IE, RELATIVE, IC) else ()
-    return Claim(words, driver, kpi, BY_ID[case].name, aim, rivals, rounding=1.0 if kpi == TOOK else None)
+    """Claim on a driver in a case, without a policy for rival where it is EITOP."""
+    rivals = EXPERT_RIVALS if driver == EITOP else ()
+    return Claim(words, driver, kpi, BY_ID[case].name, aim, rivals)
+
+
+def _arrival(case: str, words: str) -> Claim:
+    """Claim on the arrival of EITOP: nearer to the time in force is better, within a second is the same."""
+    about = BY_ID[case]
+    arrival_s = about.scheduled_s if about.news_s is None else about.news_s
+    return Claim(words, EITOP, TOOK, about.name, "same", rounding=1.0, target=arrival_s)
 
 
 CLAIMS = (
@@ -125,10 +132,10 @@ CLAIMS = (
     _claim("115", EITOP, RELATIVE, "the same at 115 s"),
     _claim("95", EITOP, IC, "EITOP is comfortable at 95 s"),
     _claim("101", EITOE, COAST, "EITOE coasts a long way at 101 s", "high"),
-    _claim("later", EITOP, TOOK, "EITOP follows a later arrival", "same"),
-    _claim("earlier", EITOP, TOOK, "EITOP follows an earlier arrival", "same"),
-    _claim("sjz", EITOP, TOOK, "EITOP is on time, Songjiazhuang to Xiaocun", "same"),
-    _claim("xc", EITOP, TOOK, "EITOP is on time, Xiaocun to Xiaohongmen", "same"),
+    _arrival("later", "EITOP follows a later arrival"),
+    _arrival("earlier", "EITOP follows an earlier arrival"),
+    _arrival("sjz", "EITOP is on time, Songjiazhuang to Xiaocun"),
+    _arrival("xc", "EITOP is on time, Xiaocun to Xiaohongmen"),
     Claim(
         "a decision of EITOP is quick",
         EITOP,
