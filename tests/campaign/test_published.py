@@ -6,6 +6,7 @@ from pathlib import Path
 import duckdb
 import pytest
 
+from metropilot._published import published_file
 from metropilot.campaign import (
     PUBLISHED,
     CampaignRows,
@@ -17,7 +18,7 @@ from metropilot.campaign import (
     run_campaign,
 )
 from metropilot.campaign.declared import seed_of
-from metropilot.campaign.leaderboard import _table
+from metropilot.campaign.leaderboard import _table, disturbance_words, find_results
 from metropilot.campaign.rows import request_of_row
 from metropilot.cli import main
 from metropilot.errors import InputError
@@ -52,6 +53,20 @@ def test_rows_are_found_and_sorted():
     for bad in ({"sort": "row; DROP TABLE runs"}, {"wanted": {'"': "x"}}):
         with pytest.raises(InputError, match=r"column: no such column"):
             found.find(**bad)
+
+
+@pytest.mark.parametrize("name", ["leaderboard", "robustness", "trainsets"])
+def test_findings_and_disturbances_of_a_page_are_those_of_its_rows(name):
+    found = published_rows(name)
+    with found.open() as database:
+        cells = found.campaign.statistics(database)["cells"]
+    page = published_file(f"{name}.md").read_text()
+    findings = find_results(found.campaign, cells)
+    assert len(findings) == 3
+    assert page.index("\n".join(findings)) < page.index("## Nominal")
+    for told in found.campaign.disturbances:
+        words = disturbance_words(told)
+        assert f"\n\n{words}.\n\n" in page or not words
 
 
 def test_a_row_that_was_not_driven_is_refused():

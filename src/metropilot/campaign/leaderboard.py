@@ -45,20 +45,79 @@ def leaderboard(campaign: Campaign, folder: Path, summary: Row, written: str) ->
     if len(campaign.trainsets) > NAMED:
         trainsets = f"{len({name for name, _ in campaign.trainsets})} trainsets ({campaign.matrix_words})"
     compared = f"{len(campaign.drivers)} drivers on {sections} sections with {trainsets}"
-    lines = [f"This page compares {compared}, all under protection.", "", written, "", LEGEND]
+    lines = [f"This page compares {compared}, all under protection.", ""]
+    lines += [*find_results(campaign, summary["cells"]), "", written, "", LEGEND]
     for disturbance in campaign.disturbances:
         rows = [row for row in summary["cells"] if row["disturbance"] == disturbance.name]
-        ranges = "; ".join(
-            f"`{k}` {low:g}" + (f" to {high:g}" if high > low else "")
-            for k, (low, high) in disturbance.ranges.items()
-        )
+        words = disturbance_words(disturbance)
         lines += [f"## {disturbance.name[:1].upper()}{disturbance.name[1:]}", ""]
-        lines += [f"{ranges}.", ""] if ranges else []
+        lines += [f"{words}.", ""] if words else []
         lines += [*_table(rows), ""]
     names = {name for name, _ in campaign.trainsets}
     if len(names) > 1 or campaign.actuations != (None,) or campaign.periods:
         return lines + _by_trainset(folder, campaign)
     return lines + _by_section(folder, campaign.disturbances[0].name) + _failures(summary["worst"])
+
+
+def find_results(campaign: Campaign, cells: Sequence[Row]) -> list[str]:
+    """Find what the rows show, as items: safety, who is always on time, and least energy by disturbance.
+
+    Args:
+        campaign: The campaign.
+        cells: Statistics by driver and disturbance.
+    """
+    unsafe = {row["driver"]: 0 for row in cells}
+    late, intervened = dict(unsafe), dict(unsafe)
+    for row in cells:
+        unsafe[row["driver"]] += row["driven"] - row["safe"]
+        late[row["driver"]] += row["possible"] - row["successes"]
+        intervened[row["driver"]] += row["intervened"]
+    driven = sum(row["driven"] for row in cells)
+    lost = [f"`{name}` in {count}" for name, count in unsafe.items() if count]
+    safe = f"all {driven:,} runs were" if not lost else f"not in every run: {', '.join(lost)} runs"
+    punctual = ", ".join(f"`{name}`" for name in late if not late[name] and not intervened[name])
+    lines = [
+        f"- Safe: {safe}.",
+        f"- On time in every run in which that was possible, without an intervention: {punctual or 'none'}.",
+    ]
+    best = []
+    for disturbance in campaign.disturbances:
+        known = [
+            row
+            for row in cells
+            if row["disturbance"] == disturbance.name
+            and row["gap_median"] is not None
+            and row["successes"] == row["possible"]
+        ]
+        if known:
+            row = min(known, key=lambda row: row["gap_median"])
+            best.append(f"`{row['driver']}` {number(row['gap_median'], 2)} % ({disturbance.name})")
+    if best:
+        lines.append(f"- Least median gap of those on time in every run: {', '.join(best)}.")
+    return lines
+
+
+def disturbance_words(disturbance: DisturbanceCase) -> str:
+    """Words for the fields of a disturbance; empty where it changes nothing."""
+    words = [
+        f"`{name}` {low:g}" + (f" to {high:g}" if high > low else "")
+        for name, (low, high) in disturbance.ranges.items()
+    ]
+    if disturbance.actuation is not None:
+        delay_s, lag_s = disturbance.actuation
+        words.append(
+            f"declared dead time {delay_s:g} s and lag {lag_s:g} s, which driver and protection know"
+        )
+    if disturbance.restriction is not None:
+        start, end, kmh, announced = disturbance.restriction
+        told = "known before departure" if announced is None else f"announced at {announced:g} of the time"
+        words.append(f"restriction to {kmh:g} km/h from {start:g} to {end:g} of the section, {told}")
+    if disturbance.arrival is not None:
+        ratio, announced = disturbance.arrival
+        words.append(f"new running time of {ratio:g} of the scheduled one, announced at {announced:g} of it")
+    if disturbance.ideal:
+        words.append("ideal actuation")
+    return "; ".join(words)
 
 
 COLUMNS: Columns = (
