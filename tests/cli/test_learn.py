@@ -112,6 +112,7 @@ def stop_run(folder, command, how):
 def test_interrupted_twice_it_learns_the_same(run_folder, metropilot, program, tmp_path):
     code, err = stop_run(tmp_path, [*LEARN, "--out", "mine"], signal.SIGINT)
     assert code == 130
+    assert err.startswith("metropilot: compiling"), "while nothing else is to be seen"
     again = shlex.split(err.strip().partition("resume with: ")[2])
     assert again[:3] == ["metropilot", "learn", "--resume"]
     assert answer(metropilot("show", tmp_path / "mine", "--json"))["status"] == "interrupted"

@@ -4,6 +4,7 @@ import json
 import sqlite3
 import struct
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 
 import jax
 import numpy as np
@@ -25,7 +26,7 @@ from metropilot.learn import (
 )
 from metropilot.learn.run_store import settle_status
 from metropilot.learn.tensorboard import EventWriter, masked_crc
-from metropilot.policy import Policy, PolicySpec, load_policy, save_policy
+from metropilot.policy import Policy, PolicySpec, load_driving_policy, load_policy, save_policy
 
 SPEC = PolicySpec("clip", 3, 1, (4,), "tanh", 1, normalised=True)
 
@@ -224,6 +225,30 @@ def test_a_run_leaves_everything_needed_to_show_resume_and_drive_it(tmp_path):
             record.id,
         )
     assert store.show(record.id).status == "done"
+
+
+def test_a_run_that_was_interrupted_shows_the_policy_kept_and_has_none_yet(tmp_path):
+    scores = iter([1.0, 3.0, 2.0, 0.0])
+
+    def evaluate(params, key):
+        score = jax.pure_callback(lambda: np.float32(next(scores)), jax.ShapeDtypeStruct((), np.float32))
+        return {"score": score, "safe_share": 0.1 * score}
+
+    def interrupt(progress):
+        if progress.chunk == 3:
+            raise KeyboardInterrupt
+
+    store, config = RunStore(tmp_path / "runs"), replace(CONFIG, evaluations=4, steps=256)
+    with pytest.raises(KeyboardInterrupt):
+        learn_run(store, replace(REQUEST, config=config), TrainingOptions(evaluate, interrupt))
+    (stopped,) = store.recent(status="interrupted")
+    assert stopped.score == 3.0
+    assert stopped.kpis == pytest.approx({"safe_share": 0.3}), "those of the best, not of the last"
+    folder = store.folder(stopped.id)
+    with pytest.raises(InputError, match=f"no policy yet: 'interrupted' .*--resume {folder}"):
+        load_driving_policy(folder)
+    with pytest.raises(InputError, match="cannot read the file"):
+        load_driving_policy(tmp_path)
 
 
 def test_a_run_that_ends_while_it_is_looked_at_stays_done(tmp_path):

@@ -12,7 +12,7 @@ import pytest
 from metropilot._io import hold_lock, is_locked
 from metropilot.env import TASKS
 from metropilot.errors import InputError
-from metropilot.learn import PPOConfig, RunStore
+from metropilot.learn import PPOConfig, RunStore, kept_row
 from metropilot.learn.recipes import BUDGETS, RECIPES, recipe
 from metropilot.learn.run_store import read_record
 from metropilot.learn.train import select_kpis
@@ -94,6 +94,14 @@ def test_the_kpis_kept_are_those_of_the_policy_kept():
     }
     assert select_kpis(history, "best") == {"safe_share": 0.5}
     assert select_kpis(history, "last") == {"safe_share": 0.6, "gap_percent": 3.0}
+    # the loop keeps no policy whose score is not a number
+    history["evaluation.score"] = np.array([1.0, np.nan, 2.0])
+    assert kept_row(history, "best") == 2
+    assert select_kpis(history, "best") == {"safe_share": 0.6, "gap_percent": 3.0}
+    history["evaluation.score"] = np.full(3, np.nan)
+    assert kept_row(history, "best") is None
+    assert select_kpis(history, "best") == {}
+    assert kept_row({}, "last") is None
 
 
 def hold(folder, ready):

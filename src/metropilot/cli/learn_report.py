@@ -28,7 +28,7 @@ KPIS: tuple[tuple[str, str, str, float], ...] = (
 
 
 class LearnReport:
-    """Output during learning: a row per evaluation, and a progress bar on a terminal.
+    """Output during learning: a row per evaluation, and a progress bar on a terminal, else one line.
 
     Args:
         request: The learning run.
@@ -54,6 +54,9 @@ class LearnReport:
             self.bar = Progress(words, BarColumn(), left, console=Console(stderr=True), transient=True)
             self.item = self.bar.add_task("compiling", total=None, left="kept for the next time")
             self.bar.start()
+        elif not self.quiet:
+            sys.stderr.write("metropilot: compiling, kept for the next time\n")
+            sys.stderr.flush()
         request = self.request
         config = request.config
         self._say(

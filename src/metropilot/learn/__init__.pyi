@@ -55,5 +55,6 @@ from .train import TrainingOptions as TrainingOptions
 from .train import TrainingProgress as TrainingProgress
 from .train import TrainingResult as TrainingResult
 from .train import begin_run as begin_run
+from .train import kept_row as kept_row
 from .train import learn_in_chunks as learn_in_chunks
 from .train import learn_run as learn_run

@@ -67,7 +67,7 @@ class RunRecord:
         driver: Id of the driver that was learned; empty where it has none.
         command: The command line that began it; empty where none did.
         machine: Machine on which it began.
-        kpis: Of the policy kept, by driving the task from standstill; before the end, of the last one driven.
+        kpis: Of the policy kept, by driving the task from standstill; before the end, of the one kept so far.
         compile_seconds: Spent compiling, in the session that ended the run.
     """
 

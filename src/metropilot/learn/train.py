@@ -40,6 +40,7 @@ class TrainingProgress:
         rate: Environment steps a second in the last chunk.
         seconds_left: At that rate.
         row: The last row of the history.
+        kept: The row of the policy kept so far; empty before there is one.
     """
 
     chunk: int
@@ -50,6 +51,7 @@ class TrainingProgress:
     rate: float
     seconds_left: float
     row: Mapping[str, float]
+    kept: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -120,6 +122,12 @@ class TrainingLog:
         return len(next(iter(self.columns.values()), []))
 
     @property
+    def kept(self) -> dict[str, float]:
+        """Row of the policy kept so far; empty before there is one."""
+        row = kept_row(self.history, self.identity["config"]["keep"])
+        return {} if row is None else {name: column[row] for name, column in self.columns.items()}
+
+    @property
     def history(self) -> History:
         """Rows so far, one array a column."""
         return {name: np.asarray(column) for name, column in self.columns.items()}
@@ -172,7 +180,7 @@ class TrainingLog:
             left_s = (self.chunks - number) * spent_s
             options.on_progress(
                 TrainingProgress(
-                    number, self.chunks, steps, self.total_steps, self.seconds, rate, left_s, row
+                    number, self.chunks, steps, self.total_steps, self.seconds, rate, left_s, row, self.kept
                 )
             )
 
@@ -305,7 +313,9 @@ def _learn(
     reached: dict[str, Any] = {}
 
     def progress(now: TrainingProgress) -> None:
-        reached.update(steps=now.steps, seconds=now.seconds, kpis=kpis_of_row(now.row))
+        score = now.kept.get(f"{EVALUATION}score", math.nan)
+        reached.update(steps=now.steps, seconds=now.seconds, kpis=kpis_of_row(now.kept))
+        reached["score"] = score if math.isfinite(score) else None
         store.update(record, **reached)
         if events:
             events.write(now.steps, now.row)
@@ -373,6 +383,22 @@ EVALUATION = "evaluation."
 """Prefix of an evaluation's columns."""
 
 
+def kept_row(history: Mapping[str, np.ndarray], keep: str) -> int | None:
+    """Row of the history whose policy is kept; None where none is.
+
+    As the loop keeps it: the earliest of the highest scores, and a score that is not a number is none.
+
+    Args:
+        history: One array a column, as :func:`learn_in_chunks` gives it.
+        keep: ``best`` or ``last``.
+    """
+    score = history.get(f"{EVALUATION}score", np.empty(0))
+    if keep == "last":
+        return score.size - 1 if score.size else None
+    known = np.where(np.isnan(score), -np.inf, score)
+    return int(np.argmax(known)) if np.any(known > -np.inf) else None
+
+
 def select_kpis(history: Mapping[str, np.ndarray], keep: str) -> dict[str, float]:
     """KPIs of the policy kept, from the history of its learning; those that are not finite left out.
 
@@ -380,9 +406,8 @@ def select_kpis(history: Mapping[str, np.ndarray], keep: str) -> dict[str, float
         history: One array a column, as :func:`learn_in_chunks` gives it.
         keep: ``best`` or ``last``.
     """
-    score = history[f"{EVALUATION}score"]
-    row = int(np.argmax(score)) if keep == "best" else score.size - 1
-    return kpis_of_row({name: float(column[row]) for name, column in history.items()})
+    row = kept_row(history, keep)
+    return {} if row is None else kpis_of_row({name: float(column[row]) for name, column in history.items()})
 
 
 def kpis_of_row(row: Mapping[str, float]) -> dict[str, float]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -75,12 +76,31 @@ class LoadedPolicy:
 
 
 def policy_path(given: str | Path) -> Path:
-    """The policy file that is meant: the file itself, or that of a learning run by its folder or its id."""
+    """The policy file that is meant: the file itself, or that of a learning run by its folder or its id.
+
+    Raises:
+        InputError: The learning run has not ended.
+    """
     path = Path(given)
-    if not path.exists() and path.name == str(given):
-        kept = runs_folder() / path / POLICY_FILE
-        return kept if kept.exists() else path
-    return path / POLICY_FILE if path.is_dir() else path
+    if not path.exists() and path.name == str(given) and (runs_folder() / path).is_dir():
+        path = runs_folder() / path
+    if not path.is_dir():
+        return path
+    if not (path / POLICY_FILE).exists() and (status := _learning_status(path)):
+        allowed = f"done, after metropilot learn --resume {path}"
+        raise InputError(
+            "the learning run has no policy yet", file=path, field="status", value=status, allowed=allowed
+        )
+    return path / POLICY_FILE
+
+
+def _learning_status(folder: Path) -> str:
+    """Status in the record of a learning run's folder; empty of any other folder."""
+    try:
+        record = tomllib.loads((folder / "run.toml").read_text("utf-8"))
+    except (OSError, ValueError):
+        return ""
+    return str(record["status"]) if {"algorithm", "status"} <= record.keys() else ""
 
 
 def load_driving_policy(given: str | Path) -> LoadedPolicy:

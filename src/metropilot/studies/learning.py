@@ -54,7 +54,7 @@ class SeedResult:
 
     Attributes:
         job: The run.
-        policy: Policy with the best evaluation.
+        policy: Policy kept.
         score: Its evaluation score.
         history: One array per column of the history.
         record: The run's record: commit, date, machine, steps, seconds.
@@ -65,6 +65,20 @@ class SeedResult:
     score: float
     history: Mapping[str, np.ndarray]
     record: RunRecord
+
+    @property
+    def kept(self) -> int:
+        """Row of the history whose policy is kept.
+
+        Raises:
+            InputError: No evaluation has a score.
+        """
+        from metropilot.learn import kept_row
+
+        row = kept_row(self.history, self.job.config.keep)
+        if row is None:
+            raise InputError("no evaluation has a score", field="run", value=self.job.run_id)
+        return row
 
     @property
     def seconds(self) -> float:
@@ -195,7 +209,7 @@ def write_policy(path: Path, result: SeedResult, command: str, **about: Any) -> 
 
     Args:
         path: File of the policy.
-        result: The run; the KPIs written are those of its best evaluation.
+        result: The run; the KPIs written are those of the policy kept.
         command: Command that repeats the run.
         about: Further plain values of the file.
     """
@@ -207,11 +221,11 @@ def write_policy(path: Path, result: SeedResult, command: str, **about: Any) -> 
     job, task = result.job, result.job.task()
     if not isinstance(task, DrivingTask):
         raise TypeError("only a driving task has an interface for drivers")
-    best = int(np.nanargmax(result.history["evaluation.score"]))
+    kept = result.kept
     kpis = {
-        name.removeprefix("evaluation."): round(float(column[best]), 4)
+        name.removeprefix("evaluation."): round(float(column[kept]), 4)
         for name, column in result.history.items()
-        if name.startswith("evaluation.") and np.isfinite(column[best])
+        if name.startswith("evaluation.") and np.isfinite(column[kept])
     }
     told = {
         "perception": task.config.interface.as_dict(),

@@ -424,14 +424,14 @@ def _learning_rows(results: Sequence[SeedResult]) -> list[ReportRow]:
     for driver in LEARNED:
         mine = [r for r in results if r.job.about["driver"] == driver]
         row = partial(make_row, LEARNING, "policy kept", driver)
-        best = [int(np.nanargmax(r.history["evaluation.score"])) for r in mine]
+        kept = [r.kept for r in mine]
         for kpi, column, unit, factor in (
             ("drives that arrive safely and on time", "safe_share", "%", 100.0),
             ("Ie of case 1", "case1_ie_jpkg", "J/kg", 1.0),
             ("running time of case 1", "case1_time_s", "s", 1.0),
         ):
             said = LEARNED_IE[1] if (driver, column) == (EITOP, "case1_ie_jpkg") else None
-            each = [r.history[f"evaluation.{column}"][k] for r, k in zip(mine, best, strict=True)]
+            each = [r.history[f"evaluation.{column}"][k] for r, k in zip(mine, kept, strict=True)]
             rows.append(row(kpi, unit, [factor * float(value) for value in each], said))
         rows.append(row("time to learn", "s", [r.seconds for r in mine]))
     return rows

@@ -7,8 +7,6 @@ from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from metropilot.env import Assists, DisturbanceDistribution, DrivingTask, OnTime
 from metropilot.studies.learning import LearnJob
 from metropilot.studies.lu2023.env import (
@@ -130,11 +128,11 @@ def measure(order: Order) -> LiteralRun:
 
 
 def _rows(driver: str, results: Sequence[SeedResult]) -> list[ReportRow]:
-    best = [int(np.nanargmax(result.history["evaluation.score"])) for result in results]
+    kept = [result.kept for result in results]
 
     def values_of(column: str) -> list[float]:
         values = [result.history[f"evaluation.{PLAN}.{column}"] for result in results]
-        return [float(each[k]) for each, k in zip(values, best, strict=True)]
+        return [float(each[k]) for each, k in zip(values, kept, strict=True)]
 
     row = partial(make_row, TABLE, plan_case(PLAN).name, driver)
     return [

@@ -11,8 +11,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from metropilot.errors import InputError
 from metropilot.policy import shipped_policy
 from metropilot.studies.learning import print_shipped
@@ -32,12 +30,11 @@ def median_of(results: Sequence[SeedResult], plans: Sequence[PlanCase]) -> SeedR
 
 
 def _shortfall(result: SeedResult, plans: Sequence[PlanCase]) -> float:
-    """Mean share above the optimum at the best evaluation, plus ``MISSED`` for every demand not met."""
-    kept = int(np.argmax(result.history["evaluation.score"]))
+    """Mean share above the optimum of the policy kept, plus ``MISSED`` for every demand not met."""
     total = 0.0
     for plan in plans:
         late, kwh, stop = (
-            float(result.history[f"evaluation.{plan.id}.{name}"][kept])
+            float(result.history[f"evaluation.{plan.id}.{name}"][result.kept])
             for name in ("late_s", "kwh", "stop_m")
         )
         total += kwh * J_PER_KWH / float(notch_front(plan).at(plan.scheduled_s + late)) - 1.0
