@@ -20,6 +20,7 @@ from metropilot.studies.chen2023a.drives import (
     course,
     find_convergence,
     paper_rows,
+    time_rows,
 )
 from metropilot.studies.chen2023a.learning import LEARNERS, ablations, jobs, set_length
 from metropilot.studies.chen2023a.setting import (
@@ -124,6 +125,16 @@ def test_rows_stand_beside_what_the_paper_says():
     assert gap.ours == pytest.approx(40.0)
     assert {r.unit for r in rows if r.table == TIME} == {"s", ""}
     assert published.ENERGY_ORDER == ("ddpg", "ppo_scaled", "ppo")
+
+
+def test_the_row_of_later_chunks_names_the_episode_from_which_they_count():
+    count = CHUNKS * 100 // 2
+    short = {row.kpi for row in time_rows({"ppo": [curve(10), curve(20)]})}
+    assert short == {"final running time", f"share of chunks after {count} episodes within 88 s"}
+    long = replace(curve(10), episodes=1000.0 * np.arange(1, CHUNKS + 1))
+    assert "share of chunks after 4000 episodes within 88 s" in {
+        row.kpi for row in time_rows({"ppo": [long]})
+    }
 
 
 def history(one: DriveCourse) -> dict[str, np.ndarray]:

@@ -135,6 +135,15 @@ def test_a_task_is_deterministic_finite_and_one_program(course):
     assert step._cache_size() == 1
 
 
+def test_the_window_of_the_jerk_is_two_seconds_at_any_period(course):
+    record = track_course(course, keep_gains(GAINS), Errors(0.0, 0.0))
+    ramp = record._replace(acceleration_mps2=0.01 * np.arange(record.acceleration_mps2.size))
+    assert tracking_kpis(course, ramp).jerk_mps3 == pytest.approx(0.01 * 10 / 2.0)
+    finer = course._replace(dt=np.float64(0.1))
+    assert tracking_kpis(finer, ramp).jerk_mps3 == pytest.approx(0.01 * 20 / 2.0)
+    assert tracking_kpis(finer, ramp, dt=0.4).jerk_mps3 == pytest.approx(0.01 * 5 / 2.0)
+
+
 def test_too_fast_ends_the_episode(course):
     task = TrackingTask(TrackingConfig((course,), limit_mps=5.0, on_the_way=0.0))
     state, _ = task.begin(jnp.int32(0))

@@ -251,11 +251,13 @@ def time_rows(courses: Courses) -> Iterator[ReportRow]:
         for name, mine in courses.items():
             times = [final(getattr(one, kind)["running_time_s"]) for one in mine]
             yield make_row(TIME, case, name, "final running time", "s", times)
-            # of a shorter run its second half
-            late = [one.episodes > min(AFTER, 0.5 * float(one.episodes[-1])) for one in mine]
+            # of shorter runs their second half
+            after = min(AFTER, *(0.5 * float(one.episodes[-1]) for one in mine))
+            late = [one.episodes > after for one in mine]
             later = [getattr(one, kind)["running_time_s"][k] for one, k in zip(mine, late, strict=True)]
             shares = [float(np.mean(times <= THRESHOLD_S)) for times in later]
-            yield make_row(TIME, case, name, "share of chunks after 4000 episodes within 88 s", "", shares)
+            words = f"share of chunks after {after:.0f} episodes within {THRESHOLD_S:g} s"
+            yield make_row(TIME, case, name, words, "", shares)
 
 
 def energy_rows(courses: Courses, least: Bound) -> Iterator[ReportRow]:

@@ -11,7 +11,7 @@ from metropilot.studies.cheng2023.drives import TUNED_FED_PID
 from metropilot.studies.cheng2023.env import TrackingConfig, TrackingRewards, TrackingTask
 from metropilot.studies.cheng2023.law import PAPER_LAW, TrackingLaw
 from metropilot.studies.cheng2023.residual import placed_gains, residual_law
-from metropilot.studies.cheng2023.setting import course, draw_courses
+from metropilot.studies.cheng2023.setting import DT_S, course, draw_courses
 from metropilot.studies.cheng2023.tracking import ReferenceCourse
 from metropilot.studies.learning import LearnJob
 
@@ -131,7 +131,7 @@ def _measure(law: TrackingLaw, spec: Any) -> Callable[[Any, ReferenceCourse], di
             return law.drive(lambda observation: act(spec, params, observation), seen, memory)
 
         start = Errors(jnp.float32(0.0), jnp.float32(0.0))
-        kpis = tracking_kpis(what, track_compiled(what, control, start), jnp)
+        kpis = tracking_kpis(what, track_compiled(what, control, start), jnp, DT_S)
         numbers = {name: jnp.asarray(value, jnp.float32) for name, value in kpis._asdict().items()}
         return {"score": tracking_score(kpis), **numbers}
 

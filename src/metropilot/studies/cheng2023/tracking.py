@@ -340,15 +340,23 @@ def _period(
     return after, memory, row
 
 
-def tracking_kpis(course: ReferenceCourse, record: TrackRecord, xp: Namespace = np) -> TrackingKpis:
+def tracking_kpis(
+    course: ReferenceCourse, record: TrackRecord, xp: Namespace = np, dt: float | None = None
+) -> TrackingKpis:
     """The columns of a table, in NumPy or (``xp=jax.numpy``) compiled.
 
     The jerk is the largest change of acceleration between two moments at most 2 s apart, divided by 2 s:
     "the maximum acceleration rate over the time span of 2s" in m/s^3 (Cheng23, text on Table 1).
+
+    Args:
+        course: Course that was driven.
+        record: Its drive.
+        xp: Array namespace.
+        dt: Control period, s; None: that of the course, which must then be a number while compiling.
     """
     counted = xp.asarray(record.counted, bool)
     error, distance = (xp.where(counted, xp.abs(x), 0.0) for x in (record.error_mps, record.distance_m))
-    window = round(JERK_WINDOW_S / 0.2)
+    window = round(JERK_WINDOW_S / (float(course.dt) if dt is None else dt))
     accel = record.acceleration_mps2
     changes = [xp.max(xp.abs(accel[k:] - accel[:-k])) for k in range(1, window + 1)]
     return TrackingKpis(
