@@ -11,6 +11,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import MISSING, dataclass, field, fields
 from difflib import get_close_matches
 from functools import cache
+from numbers import Integral, Real
 from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
 from metropilot.errors import InputError
@@ -148,13 +149,36 @@ def field_specs(kind: type[Any]) -> dict[str, FieldSpec]:
 
 
 def check_fields(values: Any) -> None:  # noqa: ANN401 (any dataclass)
-    """Check every declared field of a dataclass; for its ``__post_init__``.
+    """Check every declared field of a dataclass, or each item of a tuple; for its ``__post_init__``.
 
     Raises:
-        InputError: A field is outside its range, or none of its choices.
+        InputError: A field is no number, outside its range, or none of its choices.
     """
     for name, spec in field_specs(type(values)).items():
-        spec.check(name, getattr(values, name))
+        value = getattr(values, name)
+        for item in value if isinstance(value, tuple) else (value,):
+            if spec.range is not None and item is not None:
+                check_number(name, item, field_type(type(values), name))
+            spec.check(name, item)
+
+
+def check_number(name: str, value: Any, kind: type = float, within: Range | None = None) -> None:  # noqa: ANN401 (checked here)
+    """Refuse what is no number, or no whole one where the kind is ``int``; NumPy's numbers are numbers.
+
+    Args:
+        name: The field, for errors.
+        value: The value.
+        kind: ``float`` or ``int``.
+        within: Range of the number; None: any.
+
+    Raises:
+        InputError: It is none, or out of range.
+    """
+    whole = kind is int
+    if isinstance(value, bool) or not isinstance(value, Integral if whole else Real):
+        allowed = KIND_WORDS[int if whole else float]
+        raise InputError("wrong kind of value", field=name, value=str(value), allowed=allowed)
+    FieldSpec(range=within).check(name, value)
 
 
 class CheckedFields:
@@ -166,10 +190,11 @@ class CheckedFields:
 
 @cache
 def field_type(kind: type[Any], name: str) -> type:
-    """Type of a field's values, without None: that of the words of a ``Literal``."""
+    """Type of a field's values, without None: that of the words of a ``Literal``, or a tuple's first item."""
     hint = get_type_hints(kind)[name]
     parts = (hint,) if get_origin(hint) is Literal else get_args(hint) or (hint,)
     hint = next(part for part in parts if part is not type(None))
+    hint = get_args(hint)[0] if get_origin(hint) is tuple else hint
     return type(get_args(hint)[0]) if get_origin(hint) is Literal else hint
 
 

@@ -64,6 +64,47 @@ def test_good_gains_hold_the_gap_and_no_gains_do_not():
     assert idle < 0.5 * total
 
 
-def test_a_convoy_of_one_is_refused():
-    with pytest.raises(InputError):
-        ConvoyParallelEnv(config(), 1)
+@pytest.mark.parametrize("count", [1, 0, 2.5, 17])
+def test_a_number_of_trainsets_that_is_no_convoy_is_refused(count):
+    env = object.__new__(ConvoyParallelEnv)
+    with pytest.raises(InputError, match=r"^count: "):
+        ConvoyParallelEnv.__init__.__wrapped__(env, config(), count)  # the tests' own check of types left out
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [
+        ("heads", 0),
+        ("heads", 1.5),
+        ("trainsets", ()),
+        ("trainsets", "cheng2023"),
+        ("loss", 5.0),
+        ("eta_speed", -1.0),
+        ("gap_m", -1.0),
+        ("dt", 0.0),
+        ("on_the_way", float("nan")),
+        ("seed", -1),
+    ],
+)
+def test_a_configuration_names_what_a_field_cannot_have(field, value):
+    made = object.__new__(ConvoyTaskConfig)
+    with pytest.raises(InputError, match=f"^{field}: "):
+        ConvoyTaskConfig.__init__.__wrapped__(
+            made, **{field: value}
+        )  # the tests' own check of types left out
+
+
+def test_actions_and_seeds_that_cannot_be_taken_are_named():
+    env = ConvoyParallelEnv(config(), 3)
+    with pytest.raises(InputError, match=r"^seed: "):
+        env.reset(seed=-1)
+    env.reset(seed=0)
+    for wrong in (np.zeros(7), np.full(3, np.nan), np.array(["1", "1", "1"])):
+        with pytest.raises(InputError, match=r"^trainset_3: "):
+            env.step({"trainset_2": FIXED, "trainset_3": wrong})
+    with pytest.raises(InputError, match=r"^trainset_3: an agent without an action"):
+        env.step({"trainset_2": FIXED})
+    assert env.period == 0
+    beyond = env.step(dict.fromkeys(env.agents, np.full(3, 9.0)))[4]
+    env.reset(seed=0)
+    assert beyond == env.step(dict.fromkeys(env.agents, np.ones(3)))[4], "clipped"

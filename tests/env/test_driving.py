@@ -12,6 +12,7 @@ from metropilot.env import (
     DrivingConfig,
     DrivingTask,
     episode_of,
+    make_task,
     starts,
     task_config,
 )
@@ -189,3 +190,72 @@ def test_a_configuration_names_what_is_wrong():
         DisturbanceDistribution(news=1.5)
     with pytest.raises(InputError, match="unknown task"):
         task_config("fly")
+    with pytest.raises(InputError, match="peroids: unknown field, did you mean periods"):
+        make_task("drive", peroids=2)
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [
+        ("most_decisions", 0),
+        ("periods", 1.5),
+        ("dt", 0.0),
+        ("spacing_m", 0.0),
+        ("spacing_m", -4.0),
+        ("observer", ()),
+        ("observer", ("speed", "spead")),
+        ("action", "command"),
+        ("rewards", (1,)),
+        ("sections", "RJ"),
+        ("sections", ()),
+    ],
+)
+def test_a_field_that_cannot_have_a_value_is_named(field, value):
+    made, values = object.__new__(DrivingConfig), vars(task_config("drive")) | {field: value}
+    with pytest.raises(InputError, match=f"^{field}: "):
+        DrivingConfig.__init__.__wrapped__(made, **values)  # the tests' own check of types left out
+
+
+def test_random_domains_have_a_trainset_for_each_section():
+    with pytest.raises(InputError, match=r"^trainsets: .*: 1 \(allowed: 24\)"):
+        make_task("worlds", trainsets=(load_trainset("dkz32"),))
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [
+        ("mass_factor", 1.2),
+        ("mass_factor", (1.0,)),
+        ("mass_factor", ("a", "b")),
+        ("time_s", (-5.0, 0.0)),
+        ("time_ratio", (0.0, 1.0)),
+        ("longest_s", float("inf")),
+        ("left_ratio", (-1.0, 2.0)),
+        ("news_at", (-0.1, 0.5)),
+        ("on_the_way", "often"),
+    ],
+)
+def test_a_distribution_names_what_is_no_interval_of_it(field, value):
+    made = object.__new__(DisturbanceDistribution)
+    with pytest.raises(InputError, match=f"^{field}: "):
+        DisturbanceDistribution.__init__.__wrapped__(
+            made, **{field: value}
+        )  # the tests' check of types left out
+
+
+def test_starts_have_known_fields_and_one_value_a_row():
+    with pytest.raises(InputError, match="mass_factr: unknown field, did you mean mass_factor"):
+        starts([0], [100.0], mass_factr=[1.3])
+    for fields in ({"scheduled_s": [100.0]}, {"mass_factor": [1.0]}, {"mass_factor": []}):
+        with pytest.raises(InputError, match=r"not one value a row.*shape \(2,\)"):
+            starts([0, 1], **{"scheduled_s": [100.0, 100.0]} | fields)
+    assert starts([0], [100.0], mass_factor=[1.25]).mass_factor.tolist() == [1.25]
+
+
+def test_an_episode_begins_in_a_case_that_there_is(tasks):
+    task = tasks("drive")
+    start = jax.tree.map(lambda x: x[0], starts([99], [100.0]))
+    with pytest.raises(InputError, match=r"case: out of range: 99 \(allowed: 0 to 2\)"):
+        task.begin(start)
+    _, seen = task.begin(start._replace(case=jnp.int32(2)))
+    assert jax.jit(task.begin)(start)[1].shape == seen.shape, "traced, the case is not known"

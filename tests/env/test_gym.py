@@ -61,12 +61,45 @@ def test_a_case_comes_with_its_own_timetable_and_restrictions():
         ("speed_mps", "fast"),
         ("mass_factor", 0.0),
         ("time_s", float("nan")),
+        ("case", 0.7),
+        ("position_m", True),
+        ("position_m", np.array([3.0])),
     ],
 )
 def test_an_initial_state_out_of_range_is_named(name, value):
     env = gymnasium.make(f"{PREFIX}Drive-v0").unwrapped
     with pytest.raises(InputError, match=name):
         env.reset(options={"initial_state": {name: value}})
+
+
+@pytest.mark.parametrize("options", [[1], {"initial_state": "x"}, {"initial_state": [1, 2]}, {1: 2}])
+def test_options_that_are_no_table_are_refused(options):
+    env = gymnasium.make(f"{PREFIX}Drive-v0").unwrapped
+    with pytest.raises(InputError, match=r"options|initial_state"):
+        DriveEnv.reset.__wrapped__(env, options=options)  # the tests' own check of types left out
+
+
+@pytest.mark.parametrize("number", [np.float32(3.0), np.array(3.0), 3])
+def test_numbers_of_numpy_place_a_start(number):
+    env = gymnasium.make(f"{PREFIX}Drive-v0").unwrapped
+    assert env.reset(options={"initial_state": {"position_m": number}})[1]["position_m"] == 3.0
+
+
+def test_actions_that_are_none_of_the_space_are_refused():
+    drive, notches = (gymnasium.make(f"{PREFIX}{name}-v0").unwrapped for name in ("Drive", "DriveNotches"))
+    for env, action, words in (
+        (drive, np.zeros(2, np.float32), r"shape \(1,\)"),
+        (drive, 0.5, r"shape \(1,\)"),
+        (drive, np.array([np.nan], np.float32), "finite"),
+        (notches, 99, "0 to 8"),
+        (notches, -1, "0 to 8"),
+        (notches, 1.5, "whole numbers"),
+    ):
+        env.reset(seed=0)
+        with pytest.raises(InputError, match=f"action: .*{words}"):
+            env.step(action)
+    drive.reset(seed=0)
+    assert np.isfinite(drive.step(np.array([5.0], np.float32))[1]), "clipped"
 
 
 def test_an_episode_ends_with_its_outcome():
@@ -99,8 +132,38 @@ def test_vector_environment():
         assert reward.shape == terminated.shape == truncated.shape == (3,)
         if terminated.any():
             ends += int(terminated.sum())
-            assert (info["episode"]["outcome"][info["_episode"]] == 0).all()
+            assert (info["kpis"]["outcome"][info["_kpis"]] == 0).all()
     assert ends >= 3, "environments go on with new episodes"
+
+
+def test_a_vector_environment_names_what_it_cannot_take():
+    with pytest.raises(InputError, match=r"num_envs: .*>= 1"):
+        DriveVectorEnv("drive", 0)
+    envs = DriveVectorEnv("drive", num_envs=2)
+    for seed in (-1, 2**32 - 1, [1, -4], [1, 2**32], 1.5, [1, "x"]):
+        with pytest.raises(InputError, match="seed"):
+            DriveVectorEnv.reset.__wrapped__(envs, seed=seed)  # the tests' own check of types left out
+    first, _ = envs.reset(seed=2**32 - 2)
+    again, _ = envs.reset(seed=(2**32 - 2, 2**32 - 1))
+    np.testing.assert_array_equal(first, again)
+    with pytest.raises(InputError, match=r"shape \(2, 1\)"):
+        envs.step(np.ones((3, 1), np.float32))
+
+
+def test_gymnasiums_wrapper_of_statistics_takes_the_vector_environment():
+    from gymnasium.wrappers.vector import RecordEpisodeStatistics
+
+    envs = RecordEpisodeStatistics(gymnasium.make_vec(f"{PREFIX}Drive-v0", num_envs=2))
+    envs.reset(seed=0)
+    found = []
+    for _ in range(300):
+        *_, info = envs.step(np.ones((2, 1), np.float32))
+        if "episode" in info:
+            ended = info["_episode"]
+            np.testing.assert_array_equal(ended, info["_kpis"])
+            found += zip(info["episode"]["l"][ended], info["kpis"]["decisions"][ended], strict=True)
+    assert len(found) >= 2
+    assert all(length == decisions for length, decisions in found)
 
 
 def test_gymnasium_makes_the_vector_environment():

@@ -8,6 +8,7 @@ from metropilot.env.actions import GainsAction, IncrementAction, NotchAction, Re
 from metropilot.env.features import FeatureContext
 from metropilot.env.rewards import TERMS, Energy, Failure, OnTime, PeriodChange, Punctuality
 from metropilot.env.tables import SectionRows
+from metropilot.errors import InputError
 from metropilot.physics import effort_at
 
 F = np.float64
@@ -76,6 +77,15 @@ def context():
     seen = {"case": 0, "command": F(0.4), "speed_mps": F(10.0), "position_m": F(300.0)}
     seen |= {"rows": rows, "vehicle": case.vehicle, "track": case.track, "rates": case.protection.rates}
     return FeatureContext(**dict.fromkeys(FeatureContext._fields) | seen)
+
+
+@pytest.mark.parametrize("notches", [(), (0.0, float("nan")), (3.0,), ("full",)])
+def test_notches_are_commands_or_forces(notches):
+    with pytest.raises(InputError, match="notches: "):
+        NotchAction.__init__.__wrapped__(
+            object.__new__(NotchAction), notches
+        )  # past the tests' check of types
+    assert NotchAction((-3.0, 4.0), forces=True).space.count == 2
 
 
 def test_actions():

@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from metropilot._schema import check_fields, declare
 from metropilot._typing import Array
 from metropilot.control import Errors, incremental_pid
 from metropilot.convoy.batch import advance_members, exchange_messages, gaps_m, observe_members, stack_rows
@@ -34,6 +35,7 @@ from metropilot.env import (
     Transition,
     draw_disturbance,
 )
+from metropilot.errors import InputError
 from metropilot.physics import namespace, to_jax
 from metropilot.railway import load_line, load_trainset
 from metropilot.sim import true_vehicle
@@ -66,27 +68,38 @@ class ConvoyTaskConfig:
         emergency: Share of episodes in which the head makes an emergency brake.
         dt: Control period, s.
         seed: Seed of the heads.
+
+    Raises:
+        InputError: A value that a field cannot have.
     """
 
     line: str = "yizhuang"
     origin: str = "YZQ"
     destination: str = "WHY"
     trainsets: tuple[str, ...] = ("cheng2023",)
-    heads: int = 24
-    gap_m: float = GAP_M
-    eta_speed: float = 1000.0
-    eta_gap: float = 1000.0
-    rewarded_gap_m: float | None = None
-    contact: float = 100.0
-    effort: float = 0.0
-    disturbed: float = 0.0
+    heads: int = declare(24, low=1)
+    gap_m: float = declare(GAP_M, unit="m", low=0.5, high=2000.0)
+    eta_speed: float = declare(1000.0, low=0.0)
+    eta_gap: float = declare(1000.0, low=0.0)
+    rewarded_gap_m: float | None = declare(None, unit="m", low=0.0)
+    contact: float = declare(100.0, low=0.0)
+    effort: float = declare(0.0, low=0.0)
+    disturbed: float = declare(0.0, low=0.0, high=1.0)
     disturbances: DisturbanceDistribution = OTHER_MASS
-    delay_s: float = 0.4
-    loss: float = 0.15
-    on_the_way: float = 0.7
-    emergency: float = 0.0
-    dt: float = CONVOY_PERIOD_S
-    seed: int = 0
+    delay_s: float = declare(0.4, unit="s", low=0.0, high=2.0)
+    loss: float = declare(0.15, low=0.0, high=1.0)
+    on_the_way: float = declare(0.7, low=0.0, high=1.0)
+    emergency: float = declare(0.0, low=0.0, high=1.0)
+    dt: float = declare(CONVOY_PERIOD_S, unit="s", low=0.01, high=1.0)
+    seed: int = declare(0, low=0)
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+        if not isinstance(self.trainsets, tuple | list) or not self.trainsets:
+            allowed = "one or more, ID or ID:LOAD"
+            raise InputError(
+                "not a tuple of trainsets", field="trainsets", value=str(self.trainsets), allowed=allowed
+            )
 
 
 def follow_terms(

@@ -13,11 +13,12 @@ import numpy as np
 from gymnasium import spaces
 from pettingzoo import ParallelEnv
 
+from metropilot._schema import Range, check_number
 from metropilot.control import Errors, incremental_pid
 from metropilot.convoy.drivers.follow_pid import STATE, chen2023b_state, gains_of
 from metropilot.convoy.env import MAX_PERIODS, ConvoyTaskConfig, follow_terms
 from metropilot.convoy.leaders import recordings
-from metropilot.convoy.model import Convoy, LinkQuality, Member, convoy_members
+from metropilot.convoy.model import TRAINSETS, Convoy, LinkQuality, Member, convoy_members
 from metropilot.convoy.step import (
     UNLIMITED_MPS,
     FollowerObservation,
@@ -29,13 +30,15 @@ from metropilot.convoy.step import (
     receive_message,
     update_needed_gap,
 )
-from metropilot.env import NOMINAL, draw_disturbance
+from metropilot.env import NOMINAL, ActionSpace, draw_disturbance
+from metropilot.errors import InputError
 from metropilot.physics import Command
 from metropilot.railway import load_line, load_trainset
 from metropilot.sim import true_vehicle
 
 OBSERVATION_LIMIT = 100.0
 STANDS_S = 8.0
+GAINS = ActionSpace(size=3)
 
 
 class ConvoyParallelEnv(ParallelEnv[str, np.ndarray, np.ndarray]):
@@ -64,6 +67,7 @@ class ConvoyParallelEnv(ParallelEnv[str, np.ndarray, np.ndarray]):
         protected: bool = False,
         render_mode: str | None = None,
     ) -> None:
+        check_number("count", count, int, TRAINSETS.range)
         self.config = config or ConvoyTaskConfig()
         self.render_mode = render_mode
         section = load_line(self.config.line).section(self.config.origin, self.config.destination)
@@ -89,7 +93,7 @@ class ConvoyParallelEnv(ParallelEnv[str, np.ndarray, np.ndarray]):
             for agent in self.possible_agents
         }
         self.action_spaces = {
-            agent: spaces.Box(-1.0, 1.0, (3,), np.float32) for agent in self.possible_agents
+            agent: spaces.Box(-1.0, 1.0, (GAINS.size,), np.float32) for agent in self.possible_agents
         }
         self.random = np.random.default_rng(self.config.seed)
 
@@ -109,8 +113,12 @@ class ConvoyParallelEnv(ParallelEnv[str, np.ndarray, np.ndarray]):
         Args:
             seed: Seed of this and the following episodes; None: continue the random stream.
             options: ``head``: number of the recorded head; everything else is ignored.
+
+        Raises:
+            InputError: A seed below zero.
         """
         if seed is not None:
+            check_number("seed", seed, int, Range(low=0))
             self.random = np.random.default_rng(seed)
         config, draw = self.config, self.random
         row = int(draw.integers(len(self.heads)))
@@ -136,13 +144,25 @@ class ConvoyParallelEnv(ParallelEnv[str, np.ndarray, np.ndarray]):
         dict[str, bool],
         dict[str, dict[str, Any]],
     ]:
-        """Apply the gains for one control period, then exchange messages."""
+        """Apply the gains for one control period, then exchange messages.
+
+        Raises:
+            InputError: An agent has no action, or one that is not three finite numbers; beyond [-1, 1] they
+                are clipped.
+        """
         if not self.agents:
             raise gymnasium.error.ResetNeeded("call reset before step")
+        for agent in self.agents:
+            if agent not in actions:
+                raise InputError("an agent without an action", field=agent, allowed=", ".join(self.agents))
+            GAINS.check(actions[agent], field=agent)
         now, agents = self._now(), self.agents
         shares = [np.float64(self.head.command[min(self.period, MAX_PERIODS - 1)])]
         for k, agent in enumerate(agents, 1):
-            seen, gains = self.seen[k - 1], gains_of(np.asarray(actions[agent], np.float64))
+            seen, gains = (
+                self.seen[k - 1],
+                gains_of(np.clip(np.asarray(actions[agent], np.float64), -1.0, 1.0)),
+            )
             closing = seen.ahead_mps - seen.speed_mps
             share, self.errors[k] = incremental_pid(seen.command, gains, closing, self.errors[k])
             shares.append(np.float64(share))

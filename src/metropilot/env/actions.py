@@ -6,6 +6,7 @@ does. A kind is one small class and one row of :data:`ACTIONS`.
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import ClassVar, final
@@ -13,6 +14,7 @@ from typing import ClassVar, final
 import numpy as np
 
 from metropilot._registry import Registry, RegistryRow
+from metropilot._schema import check_number
 from metropilot._typing import Array, Bool, Num, Scalar
 from metropilot.control import STARTS_SHARE, STOP_OPTIONS
 from metropilot.env.features import FASTER_MPS, FeatureContext
@@ -297,6 +299,17 @@ class NotchAction(AbstractAction):
 
     notches: tuple[float, ...] = (-1.0, -0.75, -0.5, -0.25, 0.0, 0.25, 0.5, 0.75, 1.0)
     forces: bool = False
+
+    def __post_init__(self) -> None:
+        """Check that there are notches, each a command or a finite force."""
+        most = math.inf if self.forces else 1.0
+        for notch in self.notches:
+            check_number("notches", notch)
+            if not (math.isfinite(notch) and abs(notch) <= most):
+                allowed = "finite forces" if self.forces else "-1 to 1, or forces=True"
+                raise InputError("out of range", field="notches", value=notch, allowed=allowed)
+        if not self.notches:
+            raise InputError("a policy needs a notch to choose", field="notches", allowed="1 or more")
 
     @property
     def space(self) -> ActionSpace:

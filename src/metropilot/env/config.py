@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from metropilot._schema import check_fields, declare
 from metropilot.env.actions import AbstractAction, RegimeAction
 from metropilot.env.assists import Assists
 from metropilot.env.features import FEATURES, OBSERVERS, check_features
@@ -57,20 +58,34 @@ class DrivingConfig:
     rewards: tuple[AbstractTerm, ...] = REWARDS
     outcomes: OutcomeRule = EPISODE_RULE
     assists: Assists = field(default_factory=Assists)
-    dt: float = 0.5
-    periods: int = 1
-    most_decisions: int = 1000
-    spacing_m: float = 4.0
+    dt: float = declare(0.5, unit="s", low=0.01, high=1.0)
+    periods: int = declare(1, low=1)
+    most_decisions: int = declare(1000, low=1)
+    spacing_m: float = declare(4.0, unit="m", low=0.0, above=True)
 
     def __post_init__(self) -> None:
+        check_fields(self)
+        for name, kind in (("sections", Section), ("trainsets", Trainset), ("rewards", AbstractTerm)):
+            _check_each(name, getattr(self, name), kind)
+        for name, kind in (
+            ("scenarios", DisturbanceDistribution),
+            ("action", AbstractAction),
+            ("outcomes", OutcomeRule),
+            ("assists", Assists),
+        ):
+            given = type(getattr(self, name))
+            if not issubclass(given, kind):
+                allowed = f"an object of {kind.__name__}"
+                raise InputError("wrong kind of value", field=name, value=given.__name__, allowed=allowed)
         if not self.sections or not self.trainsets:
             raise InputError("a task needs sections and trainsets", field="sections")
+        _check_each("observer", self.features, str)
+        if not self.features:
+            raise InputError("a policy needs features", field="observer", allowed=", ".join(OBSERVERS))
         check_features(self.features, FEATURES, "observer")
         names = [term.name for term in self.rewards]
         if len(set(names)) != len(names):
             raise InputError("a reward term given twice", field="rewards", value=", ".join(names))
-        if self.periods < 1 or self.most_decisions < 1:
-            raise InputError("out of range", field="periods", value=self.periods, allowed=">= 1")
 
     @property
     def features(self) -> tuple[str, ...]:
@@ -109,9 +124,26 @@ class DrivingConfig:
         return build_tables(bounded, self.spacing_m, dtype, jobs, fading=self.action.fading)
 
 
+def _check_each(name: str, values: object, kind: type) -> None:
+    """Refuse a field that is no tuple or list of objects of a kind."""
+    several = isinstance(values, tuple | list)
+    wrong = [type(value) for value in values if not isinstance(value, kind)] if several else [type(values)]
+    if wrong:
+        allowed = f"a tuple of {kind.__name__}"
+        raise InputError("wrong kind of value", field=name, value=wrong[0].__name__, allowed=allowed)
+
+
 @dataclass(frozen=True)
 class DomainRandomization(DrivingConfig):
     """Driving task of random domains: the sections and trainsets form pairs in the order of their lists."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        sections, trainsets = len(self.sections), len(self.trainsets)
+        if trainsets != sections:
+            raise InputError(
+                "as many trainsets as sections", field="trainsets", value=trainsets, allowed=str(sections)
+            )
 
     @property
     def cases(self) -> tuple[tuple[Section, Trainset], ...]:

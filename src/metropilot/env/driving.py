@@ -8,6 +8,7 @@ from typing import Any, NamedTuple, cast
 
 import numpy as np
 
+from metropilot._schema import Range, check_name, check_number
 from metropilot._typing import Array, Bool, Flag, Float, Index, Key, Num, Scalar
 from metropilot.control import MeasuredMotion, first_motion, fuse_motion
 from metropilot.env.assists import apply_assists
@@ -17,6 +18,7 @@ from metropilot.env.interface import AbstractTask, ActionSpace, Transition
 from metropilot.env.randomization import StartDistribution, draw
 from metropilot.env.rewards import PeriodChange
 from metropilot.env.tables import PERMITTED_COLUMN, SectionRows, near_protection
+from metropilot.errors import InputError
 from metropilot.physics import Command, Forces, State, delay_steps
 from metropilot.protection import Memory
 from metropilot.sim import (
@@ -117,9 +119,16 @@ class DrivingTask(AbstractTask):
         return self._on_the_way(key, start) if self.config.scenarios.on_the_way > 0 else start
 
     def begin(self, start: StartDistribution) -> tuple[DriveState, Float[Array, " features"]]:
-        """Begin an episode with given parameters; returns its state and first observation."""
+        """Begin an episode with given parameters; returns its state and first observation.
+
+        Raises:
+            InputError: No such case.
+        """
+        import jax
         import jax.numpy as jnp
 
+        if not isinstance(start.case, jax.core.Tracer):  # in a compiled program it is known too late
+            check_number("case", int(start.case), int, Range(0, self.minimum_s.size - 1))
         zero = jnp.zeros((), jnp.float32)
         count, no = jnp.zeros((), jnp.int32), jnp.zeros((), bool)
         plant = State(
@@ -372,10 +381,15 @@ def starts(
         cases: Rows in the task's cases.
         scheduled_s: Scheduled running times, s.
         fields: Other fields of :class:`StartDistribution`, one value a row.
+
+    Raises:
+        InputError: No such field, or not one value a row.
     """
     import jax.numpy as jnp
 
     count = len(cases)
+    for name in fields:
+        check_name(name, StartDistribution._fields[2:], "field", field=name)
     never = float("inf")
     default = {"mass_factor": 1.0, "resistance_factor": 1.0, "adhesion": never, "brake_factor": 1.0}
     default |= {"news_at_s": never, "restricted_at_s": never}
@@ -386,4 +400,9 @@ def starts(
     values["case"] = jnp.asarray(cases, jnp.int32)
     values["restricted"] = jnp.asarray(fields.get("restricted", cases), jnp.int32)
     values["scheduled_s"] = jnp.asarray(scheduled_s, jnp.float32)
+    for name, value in values.items():
+        if value.shape != (count,):
+            raise InputError(
+                "not one value a row", field=name, value=str(value.shape), allowed=f"shape ({count},)"
+            )
     return StartDistribution(**values)

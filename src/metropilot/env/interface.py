@@ -7,7 +7,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from metropilot._typing import Array, Bool, Flag, Float, Key, Num, Scalar
+from metropilot.errors import InputError
 
 TaskState = Any
 
@@ -46,6 +49,30 @@ class ActionSpace:
     def discrete(self) -> bool:
         """True if an action is an integer choice."""
         return self.count > 0
+
+    def check(self, actions: object, batch: tuple[int, ...] = (), field: str = "action") -> None:
+        """Refuse actions of another shape, numbers that are not finite, and choices that there are not.
+
+        Args:
+            actions: Actions; numbers beyond [-1, 1] pass: who takes them clips them.
+            batch: Leading axes of the actions.
+            field: Named in the error.
+
+        Raises:
+            InputError: They cannot be taken.
+        """
+        values = np.asarray(actions)
+        shape = batch if self.discrete else (*batch, self.size)
+        if values.shape != shape or values.dtype.kind not in ("iu" if self.discrete else "iuf"):
+            kind = "whole numbers" if self.discrete else "numbers"
+            allowed = f"{kind} of shape {shape}"
+            shown = f"{values.dtype} of shape {values.shape}"
+            raise InputError("wrong kind of action", field=field, value=shown, allowed=allowed)
+        if self.discrete and not ((values >= 0) & (values < self.count)).all():
+            allowed = f"0 to {self.count - 1}"
+            raise InputError("no such choice", field=field, value=str(values), allowed=allowed)
+        if not np.isfinite(values).all():
+            raise InputError("out of range", field=field, value=str(values), allowed="finite numbers")
 
 
 class AbstractTask(ABC):

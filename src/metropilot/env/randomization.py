@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.random import Generator
 
+from metropilot._schema import check_fields, check_number, declare
 from metropilot._typing import Array, Float, Index, Key, Scalar
 from metropilot.errors import InputError
 from metropilot.protection import Bounds
@@ -51,6 +52,9 @@ NOMINAL: Mapping[str, Interval] = MappingProxyType(
 """Quantities drawn for an episode, each with the interval of no disturbance."""
 DRAWN = tuple(NOMINAL)
 DRAWN_PLANT = tuple(name for name in DRAWN if name != "speed_noise_mps")
+PROBABILITIES = ("news", "restriction", "on_the_way")
+NUMBERS = (*PROBABILITIES, "longest_s")
+"""Fields of a distribution that are no intervals."""
 RESTRICTIONS = 4
 """Number of temporary speed restrictions drawn for a case; its tables are built with each of them."""
 
@@ -124,9 +128,9 @@ class DisturbanceDistribution:
         left_ratio: Time left of such an episode over the flat-out time to go, instead.
     """
 
-    time_ratio: Interval = (1.05, 1.5)
-    longest_s: float | None = None
-    time_s: Interval | None = None
+    time_ratio: Interval = declare((1.05, 1.5), low=0.0, above=True)
+    longest_s: float | None = declare(None, unit="s", low=0.0, above=True)
+    time_s: Interval | None = declare(None, unit="s", low=0.0, above=True)
     mass_factor: Interval = (1.0, 1.0)
     resistance_factor: Interval = (1.0, 1.0)
     delay_s: Interval = (0.0, 0.0)
@@ -136,21 +140,23 @@ class DisturbanceDistribution:
     adhesion: Interval = NOMINAL["adhesion"]
     brake_factor: Interval = NOMINAL["brake_factor"]
     news: float = 0.0
-    news_at: Interval = (0.2, 0.6)
+    news_at: Interval = declare((0.2, 0.6), low=0.0)
     news_shift_s: Interval = (-5.0, 15.0)
     restriction: float = 0.0
-    restriction_at: Interval = (0.0, 0.15)
+    restriction_at: Interval = declare((0.0, 0.15), low=0.0)
     on_the_way: float = 0.0
-    left_ratio: Interval | None = None
+    left_ratio: Interval | None = declare(None, low=0.0, above=True)
 
     def __post_init__(self) -> None:
-        for field in fields(self):
-            value = getattr(self, field.name)
-            if isinstance(value, tuple) and not value[0] <= value[1]:
-                raise InputError("empty interval", field=field.name, value=str(value), allowed="low <= high")
-        for name in ("news", "restriction", "on_the_way"):
-            if not 0.0 <= getattr(self, name) <= 1.0:
-                raise InputError("no probability", field=name, value=getattr(self, name), allowed="0 to 1")
+        for name in (field.name for field in fields(self) if field.name not in NUMBERS):
+            value = getattr(self, name)
+            if value is not None:
+                _check_interval(name, value)
+        for name in PROBABILITIES:
+            check_number(name, value := getattr(self, name))
+            if not 0.0 <= value <= 1.0:
+                raise InputError("no probability", field=name, value=value, allowed="0 to 1")
+        check_fields(self)
         for end in (0, 1):
             self.extreme(end)
 
@@ -197,6 +203,16 @@ class DisturbanceDistribution:
             limit = float(section.limit_mps.value.max()) * random.uniform(0.4, 0.8)
             found.append(section.with_restriction(Restriction(first, last, max(limit, 20.0 / KMH_PER_MPS))))
         return tuple(found)
+
+
+def _check_interval(name: str, value: object) -> None:
+    """Refuse what is no interval, and an empty one."""
+    if not isinstance(value, tuple) or len(value) != 2:
+        raise InputError("not an interval", field=name, value=str(value), allowed="(low, high)")
+    for end in value:
+        check_number(name, end)
+    if not value[0] <= value[1]:
+        raise InputError("empty interval", field=name, value=str(value), allowed="low <= high")
 
 
 def draw_disturbance(distribution: DisturbanceDistribution, shares: Iterator[Scalar]) -> dict[str, Scalar]:

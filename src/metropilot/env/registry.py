@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import fields, replace
 from typing import Any
 
 from metropilot._registry import Registry, RegistryRow
+from metropilot._schema import check_name
 from metropilot.env.actions import CommandAction, IncrementAction, NotchAction
 from metropilot.env.assists import Assists
 from metropilot.env.config import (
@@ -162,6 +163,9 @@ def make_task(name: str, **changes: Any) -> DrivingTask:  # noqa: ANN401 (fields
     """A registered task, with some fields of its configuration changed.
 
     Raises:
-        InputError: No such task (the nearest is named).
+        InputError: No such task or field (the nearest is named), or a value that a field cannot have.
     """
-    return DrivingTask(replace(task_config(name), **changes))
+    config = task_config(name)
+    for field in changes:
+        check_name(field, (each.name for each in fields(config)), "field", field=field)
+    return DrivingTask(replace(config, **changes))

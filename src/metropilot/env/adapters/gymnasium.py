@@ -6,8 +6,7 @@ is the task ``drive``. Needs the extra ``rl``.
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from functools import cache
 from typing import Any, cast
 
@@ -19,6 +18,7 @@ from gymnasium import spaces
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
+from metropilot._schema import Range, check_number
 from metropilot._typing import Array
 from metropilot.env.driving import DriveState, DrivingTask, episode_of
 from metropilot.env.interface import Transition
@@ -29,6 +29,8 @@ from metropilot.protection import Memory
 from metropilot.sim import CODES, RUNNING
 
 OBSERVATION_LIMIT = 100.0
+HIGHEST_SEED = 2**32 - 1
+"""Of one environment of a vector: keys are made of 32 bits."""
 LIMITS = {
     "case": (0.0, 0.0),
     "position_m": (0.0, 0.0),
@@ -61,7 +63,7 @@ def action_space(task: DrivingTask) -> spaces.Box | spaces.Discrete:
 def place_start(
     task: DrivingTask,
     draw: Callable[[int | None], StartDistribution],
-    options: dict[str, Any] | None,
+    options: object,
 ) -> StartDistribution:
     """Draw a start, with what ``options["initial_state"]`` says of it.
 
@@ -73,16 +75,15 @@ def place_start(
     Raises:
         InputError: An unknown option, or a number that is not finite or out of range.
     """
-    options = options or {}
-    unknown = set(options) - {"initial_state"}
-    given = dict(options.get("initial_state") or {})
-    unknown |= set(given) - set(LIMITS)
+    options = _table("options", options)
+    given = _table("initial_state", options.get("initial_state"))
+    unknown = (set(options) - {"initial_state"}) | (set(given) - set(LIMITS))
     if unknown:
-        allowed = "initial_state: " + ", ".join(LIMITS)
-        raise InputError("unknown option", field="options", value=", ".join(sorted(unknown)), allowed=allowed)
+        allowed, names = "initial_state: " + ", ".join(LIMITS), ", ".join(sorted(map(str, unknown)))
+        raise InputError("unknown option", field="options", value=names, allowed=allowed)
     case = given.pop("case", None)
     if case is not None:
-        case = int(number("case", case, 0.0, task.minimum_s.size - 1.0))
+        case = int(number("case", case, 0, task.minimum_s.size - 1))
     start = draw(case)
     for name in (name for name in LIMITS if name in given):
         low, high = LIMITS[name]
@@ -93,19 +94,23 @@ def place_start(
     return start
 
 
-def number(name: str, value: object, low: float, high: float) -> float:
-    """Convert a value to a number in a range.
+def _table(name: str, value: object) -> dict[Any, Any]:
+    """Copy of a table of options; empty where there is none."""
+    if not isinstance(value, Mapping | None):
+        raise InputError("wrong kind of value", field=name, value=str(value), allowed="a table")
+    return dict(value or {})
+
+
+def number(name: str, value: Any, low: int | float, high: int | float) -> float:  # noqa: ANN401 (as a user gives it)
+    """Convert a value to a number in a range, a whole one where the range is of whole numbers.
 
     Raises:
         InputError: The value is not a number, or out of range.
     """
-    try:
-        found = float(value)  # pyright: ignore[reportArgumentType]
-    except (TypeError, ValueError):
-        found = math.nan
-    if not low <= found <= high:
-        raise InputError("not a number in range", field=name, value=value, allowed=f"{low:g} to {high:g}")
-    return found
+    if getattr(value, "shape", None) == ():  # of an array of one number
+        value = value.item()
+    check_number(name, value, type(low), Range(low, high))
+    return float(value)
 
 
 class DriveEnv(gymnasium.Env[np.ndarray, Any]):
@@ -138,9 +143,14 @@ class DriveEnv(gymnasium.Env[np.ndarray, Any]):
         return np.asarray(observation), self._info(self._state)
 
     def step(self, action: Any) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:  # noqa: ANN401
-        """Take one decision."""
+        """Take one decision.
+
+        Raises:
+            InputError: The action is none of the space, but numbers beyond [-1, 1] are clipped.
+        """
         if self._state is None:
             raise gymnasium.error.ResetNeeded("call reset before step")
+        self.task.action_space.check(action)
         self._key, key = _next_keys(self._key)
         self._state, transition = self._step(key, self._state, jnp.asarray(action))
         terms = {name: float(value) for name, value in transition.terms.items()}
@@ -171,11 +181,15 @@ class DriveVectorEnv(gymnasium.vector.VectorEnv[np.ndarray, Any, np.ndarray]):
     Args:
         task: A registered task's name, or a task.
         num_envs: Number of environments.
+
+    Raises:
+        InputError: No such task, or no environment.
     """
 
     metadata = {"autoreset_mode": AutoresetMode.NEXT_STEP, "render_modes": []}  # noqa: RUF012
 
     def __init__(self, task: str | DrivingTask = "drive", num_envs: int = 1) -> None:
+        check_number("num_envs", num_envs, int, Range(low=1))
         self.task = shared_task(task) if isinstance(task, str) else task
         self.num_envs = num_envs
         self.single_observation_space = observation_space(self.task)
@@ -187,12 +201,12 @@ class DriveVectorEnv(gymnasium.vector.VectorEnv[np.ndarray, Any, np.ndarray]):
         self._over = np.zeros(num_envs, bool)
 
     def reset(
-        self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
+        self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
         """Begin all episodes; one seed is counted up from the first environment, a list has one for each.
 
         Raises:
-            InputError: Options, or a list of seeds of another length.
+            InputError: Options, a list of seeds of another length, or a seed out of range.
         """
         if options:
             raise InputError("the vector environment takes no options", field="options", value=str(options))
@@ -205,22 +219,36 @@ class DriveVectorEnv(gymnasium.vector.VectorEnv[np.ndarray, Any, np.ndarray]):
         self._over[:] = False
         return np.asarray(observation), {}
 
-    def _seeds(self, seed: int | list[int | None] | None) -> list[int | None]:
-        if not isinstance(seed, list):
-            return [None if seed is None else seed + k for k in range(self.num_envs)]
-        if len(seed) != self.num_envs:
+    def _seeds(self, seed: Any) -> list[int | None]:  # noqa: ANN401 (as a user gives it)
+        if seed is None:
+            return [None] * self.num_envs
+        if not isinstance(seed, Sequence | np.ndarray):
+            check_number("seed", seed, int, Range(0, HIGHEST_SEED - self.num_envs + 1))
+            return [seed + k for k in range(self.num_envs)]
+        seeds = list(seed)
+        if len(seeds) != self.num_envs:
             raise InputError(
-                "as many seeds as environments", field="seed", value=len(seed), allowed=str(self.num_envs)
+                "as many seeds as environments", field="seed", value=len(seeds), allowed=str(self.num_envs)
             )
-        return seed
+        for own in seeds:
+            if own is not None:
+                check_number("seed", own, int, Range(0, HIGHEST_SEED))
+        return seeds
 
     def step(
         self,
         actions: Any,  # noqa: ANN401 (whatever the space holds)
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
-        """Take one decision in each environment; an episode that had ended is reset instead."""
+        """Take one decision in each environment; an episode that had ended is reset instead.
+
+        Where episodes end, ``info["kpis"]`` has their KPIs, one array each, and ``info["_kpis"]`` is True.
+
+        Raises:
+            InputError: The actions are none of the space, but numbers beyond [-1, 1] are clipped.
+        """
         if self._state is None:
             raise gymnasium.error.ResetNeeded("call reset before step")
+        self.task.action_space.check(actions, (self.num_envs,))
         self._key, key = _next_keys(self._key)
         keys = jax.random.split(key, self.num_envs)
         self._state, found = self._step(keys, self._state, jnp.asarray(actions), jnp.asarray(self._over))
@@ -229,8 +257,9 @@ class DriveVectorEnv(gymnasium.vector.VectorEnv[np.ndarray, Any, np.ndarray]):
         info: dict[str, Any] = {}
         if self._over.any():
             episode = jax.vmap(lambda s: episode_of(self.task, s))(self._state)
-            info = {"episode": {name: np.asarray(v) for name, v in episode._asdict().items()}}
-            info["_episode"] = self._over.copy()
+            # "episode" belongs to Gymnasium's wrapper RecordEpisodeStatistics
+            info = {"kpis": {name: np.asarray(v) for name, v in episode._asdict().items()}}
+            info["_kpis"] = self._over.copy()
         observation = np.asarray(found.observation)
         return observation, np.asarray(found.reward, np.float64), terminated, truncated, info
 
