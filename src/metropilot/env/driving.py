@@ -124,10 +124,10 @@ class DrivingTask(AbstractTask):
         Raises:
             InputError: No such case.
         """
-        import jax
         import jax.numpy as jnp
+        from jax.core import Tracer
 
-        if not isinstance(start.case, jax.core.Tracer):  # in a compiled program it is known too late
+        if not isinstance(start.case, Tracer):  # in a compiled program it is known too late
             check_number("case", int(start.case), int, Range(0, self.minimum_s.size - 1))
         zero = jnp.zeros((), jnp.float32)
         count, no = jnp.zeros((), jnp.int32), jnp.zeros((), bool)
