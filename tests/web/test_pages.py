@@ -21,7 +21,9 @@ from metropilot.sim import Disturbance, TimetableUpdate
 from metropilot.units import KINDS
 from metropilot.web.errors import Refused
 from metropilot.web.live.session import Session
-from metropilot.web.pages.compare import outcome
+from metropilot.web.pages import journey as journeys
+from metropilot.web.pages import operation as operations
+from metropilot.web.pages.compare import ComparePage, outcome
 from metropilot.web.pages.convoy import ConvoyPage, member_outcome
 from metropilot.web.pages.document import grid_of
 from metropilot.web.pages.drive import DrivePage
@@ -480,6 +482,51 @@ def test_a_journey_of_stations_by_name_is_shown(tmp_path):
         return shown.fields["origin"].value, shown.fields["destination"].value
 
     assert on_page(story, tmp_path) == ("RJ", "XHM")
+
+
+@pytest.mark.parametrize("least_j", [0.0, -3.6e6])
+def test_a_journey_downhill_without_energy_is_shown_without_shares(least_j, tmp_path, monkeypatch):
+    told = []
+    monkeypatch.setattr(journeys, "reads", told.extend)
+    for name in ("journey_figure", "sections_figure"):
+        monkeypatch.setattr(journeys, name, lambda _: {})
+    found = {"energy_j": least_j, "bound_j": least_j, "planned_energy_j": least_j, "running_time_s": 90.0}
+
+    async def story(service):
+        shown = JourneyPage(service, None)
+        shown.build()
+        shown.show(found | {"calls": []})
+
+    on_page(story, tmp_path)
+    assert [value for _, value, _ in told[2:]] == ["–", "–"]
+
+
+def test_the_next_second_of_a_plan_without_energy_has_no_share(tmp_path):
+    async def story(service):
+        shown = ComparePage(service, None)
+        shown.build()
+        shown.say_second(90.0, {"energy_j": 0.0, "second_w": 3.6e3, "certificate_gap": 0.0})
+        return shown.words.text
+
+    assert "saves 1 Wh, – %" in on_page(story, tmp_path)
+
+
+def test_energies_of_a_line_that_returns_all_are_shown_without_shares(tmp_path, monkeypatch):
+    told = []
+    monkeypatch.setattr(operations, "reads", told.extend)
+    monkeypatch.setattr(operations, "operation_figure", lambda *_, **__: {})
+    monkeypatch.setattr(operations, "table", lambda _, rows, **__: told.extend(rows))
+    energies = {"line": "hill", "headway_s": 180.0, "feeding": {}, "fleet": 2, "peak_minute_w": 0.0}
+    energies |= {"energy_kwh": 1.0, "cruise_kwh": 0.0, "floor_kwh": -1.0, "gap_percent": None}
+    energies |= {"returned_kwh": 0.0, "unreceived_kwh": 0.0}
+
+    async def story(service):
+        shown = OperationPage(service, None)
+        shown.show_energies({"energies": energies, "bottleneck": None, "graph": {}}, day=False)
+
+    on_page(story, tmp_path)
+    assert [value for _, value, _ in told[2:4]] == ["–", "–"]
+    assert [row[3:] for row in told[6:]] == [("–", "–")] * 3
 
 
 def test_a_load_without_a_mass_is_refused_by_name():

@@ -4,20 +4,23 @@ import asyncio
 import inspect
 import logging
 from concurrent.futures import Future
+from pathlib import Path
 
 import pytest
 
+from metropilot.campaign import CampaignStore, campaign_from_values, compute_shard
 from metropilot.cli.convoy import convoy_command
 from metropilot.errors import InputError
 from metropilot.railway import load_line
-from metropilot.web import catalogue
+from metropilot.web import catalogue, evidence
 from metropilot.web import service as services
 from metropilot.web.errors import Refused
-from metropilot.web.schemas.requests import ConvoyIn, DriveIn, FitIn, OperationIn
+from metropilot.web.schemas.requests import CampaignIn, ConvoyIn, DriveIn, FitIn, OperationIn
 from metropilot.web.server import is_news
 from metropilot.web.service import Service
 from metropilot.web.settings import Settings
 from metropilot.web.store import JobStore, outcome_words
+from metropilot.web.work import campaigns
 from metropilot.web.work.learning import PROGRESS
 
 
@@ -47,6 +50,30 @@ def test_a_job_is_resumed_once(service, monkeypatch):
     with pytest.raises(Refused, match="queued cannot be resumed"):
         service.resume(job)
     assert len(service.submitted) == 2
+
+
+def test_a_campaign_knows_its_rows_whenever_its_worker_is_away(service, monkeypatch):
+    def counts():
+        row = evidence.campaign_list(service)[0]
+        return row["rows"], row["done"]
+
+    def interrupt(*_, **__):
+        raise KeyboardInterrupt
+
+    matrix = {"drivers": ["flat_out", "manual"], "sections": ["yizhuang RJ WYJ"], "loads": ["AW2"]}
+    values = {"name": "tiny", "matrix": {**matrix, "times": [1.2, 1.4]}}
+    job = service.submit(CampaignIn.model_validate(values))
+    assert counts() == (4, 0)
+    campaign = campaign_from_values(Path("campaign"), values)
+    store = CampaignStore(service.root / "jobs" / job / campaigns.FOLDER, campaign)
+    store.keep(compute_shard(campaign.text, campaign.pieces()[0]))
+    service.store.update(job, status="interrupted", words="the server was restarted; it can be resumed")
+    assert counts() == (4, 1)
+    service.resume(job)
+    assert counts() == (4, 1)
+    monkeypatch.setattr(campaigns, "run_campaign", interrupt)
+    assert campaigns.campaign_job(str(service.root), job, values)["done"] == 1
+    assert service.store.job(job).words == "1 of 4 rows"
 
 
 def test_a_worker_that_starts_late_does_not_run_a_stopped_job(service):

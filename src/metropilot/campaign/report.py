@@ -105,7 +105,7 @@ def summarise(folder: Path) -> dict[str, Any]:
     """
     campaign = campaign_of_folder(folder)
     store = CampaignStore(folder, campaign)
-    done = sum(len(campaign.shard(piece)) for piece in store.finished_shards())
+    done = store.finished_rows()
     found: dict[str, Any] = {
         "campaign": campaign.name,
         "kind": campaign.kind,

@@ -82,6 +82,10 @@ class CampaignStore:
                 found[piece] = checksum
         return found
 
+    def finished_rows(self) -> int:
+        """Number of rows of the shards that are done."""
+        return sum(len(self.campaign.shard(piece)) for piece in self.finished_shards())
+
     def part(self, piece: Piece) -> Path:
         """Path of the results of a shard."""
         return self.folder / PARTS_FOLDER / key_of(piece.group) / f"{piece.chunk:06d}.parquet"

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from metropilot._io import open_database
+from metropilot.planning import excess_percent
 from metropilot.units import J_PER_KWH
 from metropilot.web.errors import Refused
 from metropilot.web.users import check_may_change, present_user
@@ -515,8 +516,7 @@ def summarise(result: Any) -> dict[str, Any]:  # noqa: ANN401 (whatever the job'
         files = len(result.get("files", ()))
         return {"outcome": f"{files} files" if files else f"{result['done']} of {result['rows']} rows"}
     if "calls" in result:
-        least_j = result["bound_j"]
-        gap = 100.0 * (result["energy_j"] / least_j - 1.0) if least_j > 0.0 else None
+        gap = excess_percent(result["energy_j"], result["bound_j"])
         found = {"outcome": "planned", "time_s": result["running_time_s"], "gap_percent": gap}
         return found | {"energy_kwh": result["energy_j"] / J_PER_KWH}
     return {"outcome": f"residuals {result['residual_mps']:.3f} m/s"} if "parameters" in result else {}

@@ -9,6 +9,7 @@ from nicegui import ui
 
 from metropilot.errors import MetropilotError
 from metropilot.evaluate import best_of
+from metropilot.planning import excess_percent
 from metropilot.units import J_PER_KWH
 from metropilot.web import catalogue
 from metropilot.web.errors import Refused
@@ -179,7 +180,7 @@ class ComparePage:
             energy=f"{energy:.2f}",
             gap=f"{gap:.3f}",
             second=f"{second:.0f}",
-            share=f"{100 * second / 1000 / energy:.1f}",
+            share=number(excess_percent(plan["energy_j"] + plan["second_w"], plan["energy_j"]), 1),
         )
         if self.front is not None:
             self.front_plot.update_figure(front_figure(self.front, (now, energy), self.entries_on_front()))

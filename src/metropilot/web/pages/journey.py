@@ -10,6 +10,7 @@ from typing import Any
 from fastapi import Request
 from nicegui import ui
 
+from metropilot.planning import excess_percent
 from metropilot.units import J_PER_KWH
 from metropilot.web import catalogue
 from metropilot.web.pages.form import loads, number_field, validate
@@ -175,22 +176,18 @@ class JourneyPage:
         """Show numbers and pictures of the journey."""
         ends = self.fields["origin"].value, self.fields["destination"].value
         self.map.content = line_strip(self.line, ends)
-        energy, planned = found["energy_j"] / J_PER_KWH, found["planned_energy_j"]
-        saved = None if not planned else 100 * (1 - found["energy_j"] / planned)
+        planned_j = found["planned_energy_j"]
+        change = None if planned_j is None else excess_percent(found["energy_j"], planned_j)
         minutes, seconds = divmod(round(found["running_time_s"]), 60)
-        gap = 100 * (found["energy_j"] / found["bound_j"] - 1)
+        gap = excess_percent(found["energy_j"], found["bound_j"])
         self.summary.clear()
         with self.summary:
             reads(
                 (
                     (_("journey time"), f"{minutes} min {seconds:02d} s", ""),
-                    (_("energy at the wheel"), f"{energy:.1f} kWh", ""),
-                    (
-                        _("against the timetable's times"),
-                        number(None if saved is None else -saved, 2, "%"),
-                        "",
-                    ),
-                    (_("certified within"), f"{max(gap, 0.001):.3f} %", ""),
+                    (_("energy at the wheel"), f"{found['energy_j'] / J_PER_KWH:.1f} kWh", ""),
+                    (_("against the timetable's times"), number(change, 2, "%"), ""),
+                    (_("certified within"), number(None if gap is None else max(gap, 0.001), 3, "%"), ""),
                 )
             )
         self.graph.update_figure(journey_figure(found))

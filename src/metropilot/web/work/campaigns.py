@@ -15,6 +15,7 @@ from metropilot.campaign import (
     AbstractCampaign,
     CampaignProgress,
     CampaignRows,
+    CampaignStore,
     campaign_from_values,
     collect_parts,
     restore_rows,
@@ -123,7 +124,8 @@ def campaign_job(root: str, job: str, values: dict[str, Any]) -> dict[str, Any]:
     """Compute the rows that the job's folder does not hold yet, until it is asked to stop."""
     store, folder = JobStore(Path(root)), folder_of(root, job)
     campaign = campaign_from_values(DECLARED, values)
-    store.begin(job, f"0 of {campaign.rows} rows")
+    done = CampaignStore(folder / FOLDER, campaign).finished_rows()
+    store.begin(job, f"{done} of {campaign.rows} rows", done / campaign.rows)
 
     def say(progress: CampaignProgress) -> None:
         words = f"{progress.rows} of {progress.total} rows"
