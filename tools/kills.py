@@ -152,7 +152,7 @@ def look_at_files(place: Path) -> None:
     for folder in (place / "drive", place / "compare"):
         look_at_folder(folder)
     store = RunStore(place / "runs")
-    for record in store.recent():
+    for record in store.find(""):
         same(record.status in {"running", "interrupted", "done"}, "record")
         same(record.status != "done" or record.steps == record.seed, "record")
 

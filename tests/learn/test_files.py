@@ -191,14 +191,14 @@ REQUEST = RunRequest(
 
 def test_a_run_leaves_everything_needed_to_show_resume_and_drive_it(tmp_path):
     store = RunStore(tmp_path / "runs")
-    assert store.recent() == []
+    assert store.find("") == []
 
     def interrupt(progress):
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
         learn_run(store, REQUEST, TrainingOptions(on_progress=interrupt))
-    (stopped,) = store.recent(status="interrupted")
+    (stopped,) = store.find("interrupted")
     record, learned = learn_run(store, REQUEST, resume=stopped.id)
     _, other = learn_run(store, REQUEST)
     np.testing.assert_array_equal(
@@ -268,7 +268,7 @@ def test_a_run_is_forgotten_beside_one_that_learns(tmp_path):
         reader.execute("BEGIN")
         assert reader.execute("SELECT count(*) FROM runs").fetchone() == (2,)
         store.forget(gone.id)
-    assert [record.id for record in store.recent()] == [kept.id]
+    assert [record.id for record in store.find("")] == [kept.id]
     assert not store.folder(gone.id).exists()
 
 
@@ -296,7 +296,7 @@ def test_a_run_goes_on_from_a_checkpoint_with_other_columns(tmp_path):
     store = RunStore(tmp_path / "runs")
     with pytest.raises(KeyboardInterrupt):
         learn_run(store, REQUEST, TrainingOptions(on_progress=interrupt))
-    (stopped,) = store.recent(status="interrupted")
+    (stopped,) = store.find("interrupted")
     path = store.folder(stopped.id) / "checkpoint.safetensors"
     with safe_open(path, "numpy") as file:
         tensors, metadata = {name: file.get_tensor(name) for name in file.keys()}, file.metadata()  # noqa: SIM118
@@ -314,8 +314,8 @@ def test_the_index_finds_and_is_made_anew(tmp_path):
     a = store.create(CONFIG, "rongjing", 1, {"section": "RJ_WYJ"})
     b = store.create(CONFIG, "convoy", 2, {"section": "RJXWYJ"})
     store.update(b, status="done", score=-1.0, steps=128)
-    assert {record.id for record in store.recent()} == {a.id, b.id}
-    assert [record.id for record in store.recent(task="convoy", status="done")] == [b.id]
+    assert {record.id for record in store.find("")} == {a.id, b.id}
+    assert [record.id for record in store.find("convoy done")] == [b.id]
     assert [record.id for record in store.find("RJ_WYJ")] == [a.id]
     assert store.find("RJ_WYJ convoy") == []
     assert store.find("50%") == []
@@ -329,6 +329,6 @@ def test_the_index_finds_and_is_made_anew(tmp_path):
     (tmp_path / "index.sqlite").write_bytes(b"this is not a database, it is a sentence" * 50)
     (tmp_path / "broken").mkdir()
     (tmp_path / "broken" / "run.toml").write_text("id = ")
-    assert {record.id for record in store.recent()} == {a.id, b.id}
+    assert {record.id for record in store.find("")} == {a.id, b.id}
     assert store.show(b.id).score == -1.0
     assert jax.devices()

@@ -120,14 +120,14 @@ def test_a_run_whose_process_was_killed_is_interrupted(tmp_path):
     process.start()
     try:
         assert ready.wait(60)
-        assert [r.status for r in store.recent()] == ["running"]
+        assert [r.status for r in store.find("")] == ["running"]
         assert is_locked(folder)
         with pytest.raises(InputError, match="another process is learning"), hold_lock(folder):
             pass
     finally:
         process.kill()
         process.join()
-    assert [r.status for r in store.recent(status="interrupted")] == ["interrupted"]
+    assert [r.status for r in store.find("interrupted")] == ["interrupted"]
     assert read_record(folder / "run.toml").status == "interrupted"
     assert store.show(record.id[:6]).driver == "ppo"
 
@@ -154,7 +154,7 @@ def test_an_index_of_another_version_is_made_anew(tmp_path):
         database.execute("ALTER TABLE runs DROP COLUMN kpis")
         database.execute("PRAGMA user_version = 1")
     database.close()
-    assert [r.id for r in store.recent()] == [record.id]
+    assert [r.id for r in store.find("")] == [record.id]
 
 
 SCRIPT = """

@@ -142,9 +142,9 @@ def heading(out: Console, title: str, lines: Iterable[str]) -> None:
         out.print(Padding(line, (0, 0, 0, 2)))
 
 
-def citations(out: Console, title: str, source: Mapping[str, str]) -> None:
+def citations(out: Console, source: Mapping[str, str]) -> None:
     """Sources of the blocks of data."""
-    heading(out, title, [f"{block}: {text}" for block, text in source.items()])
+    heading(out, "sources", [f"{block}: {text}" for block, text in source.items()])
 
 
 @contextmanager

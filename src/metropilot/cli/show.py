@@ -200,7 +200,7 @@ def show_line(line: Line, *, as_json: bool) -> int:
     out.print(table("", columns, cells, right=range(1, 6)))
     heading(out, "notes", line.notes)
     heading(out, "read but unused", line.unused)
-    citations(out, "sources", line.source)
+    citations(out, line.source)
     return 0
 
 
@@ -237,7 +237,7 @@ def show_feeding(feeding: Feeding, *, as_json: bool) -> int:
             f"above {each.charge_above_v:g} V, discharged below {each.discharge_below_v:g} V."
         )
     heading(out, "notes", feeding.notes)
-    citations(out, "sources", feeding.source)
+    citations(out, feeding.source)
     return 0
 
 
@@ -259,7 +259,7 @@ def show_day(day: ServiceDay, *, as_json: bool) -> int:
     fleet = "as many trains as it takes" if day.fleet is None else f"{day.fleet} trains"
     out.print(f"{fleet}; one that would wait more than {day.longest_wait_s} s goes to the depot.")
     heading(out, "notes", day.notes)
-    citations(out, "sources", day.source)
+    citations(out, day.source)
     return 0
 
 
@@ -313,7 +313,7 @@ def show_trainset(t: Trainset, *, as_json: bool) -> int:
     heading(out, "in service", _service(t))
     heading(out, "notes", t.notes)
     heading(out, "read but unused", t.unused)
-    citations(out, "sources", t.source)
+    citations(out, t.source)
     return 0
 
 

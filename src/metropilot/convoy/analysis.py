@@ -27,21 +27,20 @@ FAR_M = 1e4
 SETTLE_S, RISE_MPS2 = 60.0, 0.4
 
 
-def needed_gap_m(convoy: Convoy, guard: ConvoyGuard, speed_mps: float, age_s: float = 0.0) -> float:
+def needed_gap_m(convoy: Convoy, guard: ConvoyGuard, speed_mps: float) -> float:
     """Smallest gap, rear to front, at which protection does not intervene at a common steady speed.
 
     Args:
         convoy: The convoy; its last pair is considered.
         guard: Assumption of protection.
         speed_mps: Speed of both.
-        age_s: Age of the last message.
     """
     pair = convoy_members(replace(convoy, guard=guard))
     own = pair[-1]
     if own.protection is None:
         return 0.0
     at = 0.4 * convoy.section.length_m
-    return FAR_M - spare_m(own, at, speed_mps, Ahead(FAR_M, speed_mps, age_s=age_s))
+    return FAR_M - spare_m(own, at, speed_mps, Ahead(FAR_M, speed_mps))
 
 
 class Ahead(NamedTuple):

@@ -9,14 +9,14 @@ import numpy as np
 from metropilot.convoy.model import Convoy
 from metropilot.errors import Infeasible, SolverError
 from metropilot.evaluate import OPTIMUM_SPACING_M, OPTIMUM_TOLERANCE
-from metropilot.planning import Objective, Plan, PlanOptions, joint_minimum_running_time, joint_plan
+from metropilot.planning import Plan, PlanOptions, joint_minimum_running_time, joint_plan
 
 SERVICE_SPACING_M = 25.0
 LATE_S, LATE_W = 0.5, 500.0
 """A plan later than this is none for the running time; price of a second until then, W/kg."""
 
 
-def joint_optimum(convoy: Convoy, running_time_s: float, objective: Objective = "wheel") -> Plan | None:
+def joint_optimum(convoy: Convoy, running_time_s: float) -> Plan | None:
     """The plan of least energy, summed over all trainsets, that keeps the desired gaps throughout.
 
     It is made in hindsight, like the optimum of one trainset: for the true plants (mass and resistance of the
@@ -27,15 +27,14 @@ def joint_optimum(convoy: Convoy, running_time_s: float, objective: Objective = 
     Args:
         convoy: The convoy; for a run, ``ConvoyDrive.convoy`` with the restrictions announced on the way.
         running_time_s: Running time of the run, until the last standstill.
-        objective: Energy minimised.
 
     Returns:
         None where there is no such plan: the convoy couples or uncouples on the move, or it stalls.
     """
-    return _plan(convoy, running_time_s, PlanOptions(objective=objective, spacing_m=OPTIMUM_SPACING_M))
+    return _plan(convoy, running_time_s, PlanOptions(spacing_m=OPTIMUM_SPACING_M))
 
 
-def joint_attainable(convoy: Convoy, running_time_s: float, objective: Objective = "wheel") -> Plan | None:
+def joint_attainable(convoy: Convoy, running_time_s: float) -> Plan | None:
     """The plan of least energy within the service limits of the convoy: what its drivers can attain.
 
     Beside the limits of :func:`joint_optimum` it keeps the acceleration and the deceleration that the head of
@@ -45,7 +44,6 @@ def joint_attainable(convoy: Convoy, running_time_s: float, objective: Objective
     Args:
         convoy: As for :func:`joint_optimum`.
         running_time_s: Likewise.
-        objective: Likewise.
 
     Returns:
         None where the service limits do not allow the running time, or there is no joint optimum.
@@ -53,7 +51,6 @@ def joint_attainable(convoy: Convoy, running_time_s: float, objective: Objective
     head = convoy.leader()[1]
     jerk = min(each.actuation.jerk_limit_mps3 for each in convoy.trainsets)
     service = PlanOptions(
-        objective=objective,
         spacing_m=SERVICE_SPACING_M,
         acceleration_mps2=head.max_acceleration_mps2,
         deceleration_mps2=head.max_deceleration_mps2,

@@ -177,25 +177,6 @@ class RunStore:
             with self._index() as database:
                 _insert(database, record)
 
-    def recent(
-        self, *, algorithm: str = "", task: str = "", status: str = "", limit: int = 100
-    ) -> list[RunRecord]:
-        """Runs, the newest first.
-
-        Args:
-            algorithm: Only of this one.
-            task: Only of this one.
-            status: Only of this one.
-            limit: At most so many.
-        """
-        self._settle()
-        wanted = {"algorithm": algorithm, "task": task, "status": status}
-        wanted = {name: value for name, value in wanted.items() if value}
-        where = " AND ".join(f"{name} = ?" for name in wanted) or "1"
-        return self._select(
-            f"WHERE {where} ORDER BY created DESC, id DESC LIMIT ?", (*wanted.values(), limit)
-        )
-
     def find(self, words: str, limit: int = 100) -> list[RunRecord]:
         """Runs in whose id, task, configuration or identity every word occurs, the newest first."""
         self._settle()
@@ -219,7 +200,7 @@ class RunStore:
         exact = [record for record in found if record.id == run_id]
         if exact or len(found) == 1:
             return (exact or found)[0]
-        names = ", ".join(record.id for record in (found or self.recent(limit=6)))
+        names = ", ".join(record.id for record in (found or self.find("", limit=6)))
         words = "several runs begin so" if found else "no such run"
         raise InputError(
             words, file=self.root, field="id", value=run_id, allowed=names or "there are no runs yet"

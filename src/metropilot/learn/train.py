@@ -81,7 +81,6 @@ class TrainingOptions:
         evaluate: Evaluates the policy; see :func:`metropilot.learn.loop.make_loop`.
         on_progress: Called after every chunk.
         checkpoint: File of the kept state; None: not kept.
-        every: Chunks between checkpoints.
         resume: Go on from the checkpoint if there is one; else it is written over.
         about: Plain values that must be the same to go on (which task, which section).
     """
@@ -89,7 +88,6 @@ class TrainingOptions:
     evaluate: PolicyEvaluation | None = None
     on_progress: Callable[[TrainingProgress], object] | None = None
     checkpoint: Path | None = None
-    every: int = 1
     resume: bool = False
     about: Mapping[str, Any] | None = None
 
@@ -171,7 +169,7 @@ class TrainingLog:
         for name in {**self.columns, **row}:
             self.columns.setdefault(name, [math.nan] * before).append(row.get(name, math.nan))
         number, options = self.chunks_done, self.options
-        if options.checkpoint and (number % options.every == 0 or number == self.chunks):
+        if options.checkpoint:
             about = {**self.identity, "seconds": self.seconds}
             save_checkpoint(options.checkpoint, state, self.history, about)
         rate = (steps - self.steps) / max(spent_s, 1e-9)

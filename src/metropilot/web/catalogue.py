@@ -215,7 +215,7 @@ def run_rows(service: Service) -> list[dict[str, Any]]:
     """Learning runs, the newest first."""
     from metropilot.learn import RunStore
 
-    return [_run_out(record) for record in RunStore(service.root / "runs").recent()]
+    return [_run_out(record) for record in RunStore(service.root / "runs").find("")]
 
 
 def run_out(service: Service, key: str) -> dict[str, Any]:
