@@ -5,6 +5,7 @@ import inspect
 import logging
 from concurrent.futures import Future
 from pathlib import Path
+from typing import get_args
 
 import pytest
 
@@ -15,7 +16,9 @@ from metropilot.railway import load_line
 from metropilot.web import catalogue, evidence
 from metropilot.web import service as services
 from metropilot.web.errors import Refused
-from metropilot.web.schemas.requests import CampaignIn, ConvoyIn, DriveIn, FitIn, OperationIn
+from metropilot.web.kinds import JOB_KINDS
+from metropilot.web.schemas.requests import CampaignIn, ConvoyIn, DriveIn, FitIn, JourneyIn, OperationIn
+from metropilot.web.schemas.responses import JobKind
 from metropilot.web.server import is_news
 from metropilot.web.service import Service
 from metropilot.web.settings import Settings
@@ -29,8 +32,13 @@ def service(tmp_path, monkeypatch):
     """A service whose jobs wait for ever."""
     made = Service(Settings(data=tmp_path))
     made.submitted = []
-    monkeypatch.setattr(made.pools, "submit", lambda *work: made.submitted.append(work) or Future())
+    monkeypatch.setattr(made.pools, "submit", lambda *work, **_: made.submitted.append(work) or Future())
     return made
+
+
+def test_every_kind_of_jobs_that_the_api_names_is_one_row():
+    assert tuple(JOB_KINDS) == get_args(JobKind)
+    assert len({row.body for row in JOB_KINDS.values()}) == len(JOB_KINDS)
 
 
 def test_a_job_whose_log_is_gone_stays_as_it_was(service):
@@ -39,6 +47,14 @@ def test_a_job_whose_log_is_gone_stays_as_it_was(service):
     with pytest.raises(InputError, match="no such log"):
         service.resume(job)
     assert (service.store.job(job).status, service.submitted) == ("stopped", [])
+
+
+def test_a_journey_has_no_worker_to_resume_it(service):
+    job = service.store.new_job("journey", JourneyIn().model_dump())
+    service.store.update(job, status="stopped")
+    with pytest.raises(Refused, match="a job that is stopped cannot be resumed"):
+        service.resume(job)
+    assert service.submitted == []
 
 
 def test_a_job_is_resumed_once(service, monkeypatch):

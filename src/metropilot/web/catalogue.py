@@ -30,10 +30,9 @@ from metropilot.railway import (
 )
 from metropilot.sim import Trajectory
 from metropilot.web.errors import Refused
-from metropilot.web.schemas.requests import CompareIn, DriveIn, JourneyIn, LiveIn
-from metropilot.web.service import Service, live_kind
+from metropilot.web.kinds import JOB_KINDS, LIVE, live_kind
+from metropilot.web.service import Service
 from metropilot.web.store import JobRow
-from metropilot.web.words.language import N_
 from metropilot.web.work.learning import PROGRESS
 from metropilot.web.work.plans import numbers, pieces, station
 
@@ -338,20 +337,8 @@ def _report(service: Service, key: str) -> dict[str, Any] | None:
     return None
 
 
-KINDS = {
-    "drive": N_("Drive"),
-    "live": N_("Live run"),
-    "convoy": N_("Convoy"),
-    "running": N_("Running line"),
-    "compare": N_("Comparison"),
-    "journey": N_("Journey"),
-    "line": N_("Line"),
-    "campaign": N_("Campaign"),
-    "export": N_("Export"),
-    "fit": N_("Fit"),
-    "learn": N_("Learning run"),
-    "study": N_("Study"),
-}
+KINDS: dict[str, str] = {kind: row.words for kind, row in JOB_KINDS.items()}
+KINDS |= {"convoy": LIVE["convoy"].words, "running": LIVE["line"].words}
 """Kinds of jobs in words; a live run with followers is a convoy, one of a whole line a running line."""
 
 
@@ -459,12 +446,12 @@ def file_of(service: Service, job: str, name: str) -> Path:
     Raises:
         Refused: No such job or file (404).
     """
-    from metropilot.web.work.drives import FILES, archive
+    from metropilot.web.work.drives import archive
 
     row = service.store.job(job)
     folder = service.root / "jobs" / row.id
     path = archive(folder) if name == "trajectories.zip" else folder / name
-    if name not in FILES.get(row.kind, ()) or not path.is_file():
+    if name not in JOB_KINDS[row.kind].files or not path.is_file():
         raise Refused("no such file", 404, field="name", value=name)
     return path
 
@@ -479,8 +466,8 @@ async def report_of(service: Service, job: str) -> bytes:
 
     row = service.store.job(job)
     result = result_of(service, job, tuple(KIND_WORDS))
-    bodies = {"drive": DriveIn, "live": LiveIn, "compare": CompareIn, "journey": JourneyIn}
-    fields, always = bodies[row.kind].model_fields, {"line", "origin", "destination", "trainset", "driver"}
+    fields = JOB_KINDS[row.kind].body.model_fields
+    always = {"line", "origin", "destination", "trainset", "driver"}
     given = {
         name: value
         for name, value in row.request.items()

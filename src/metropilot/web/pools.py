@@ -21,8 +21,6 @@ from metropilot.web.work.plans import begin
 
 BUSY = 16
 """Direct answers that may wait for the one worker; more are refused (429)."""
-LONG = ("learn", "study", "campaign", "export")
-"""Kinds of jobs that take hours; they have a worker of their own, without a bound on its memory."""
 BEHIND = 4
 """Niceness of jobs, so that direct answers and live runs get the processor first."""
 
@@ -70,9 +68,15 @@ class Pools:
         finally:
             self.asking -= 1
 
-    def submit(self, kind: str, function: Callable[..., Any], *values: object) -> Future[Any]:
-        """Queue a job; the future is cancelled to stop it."""
-        if kind in LONG:
+    def submit(self, function: Callable[..., Any], *values: object, long: bool) -> Future[Any]:
+        """Queue a job; the future is cancelled to stop it.
+
+        Args:
+            function: What the worker computes.
+            values: Its values.
+            long: True if it takes hours: it waits for a worker of such jobs, without a bound on its memory.
+        """
+        if long:
             return self.learning.schedule(function, args=list(values), timeout=self.settings.learn_s)
         return self.jobs.schedule(function, args=list(values), timeout=self.settings.job_s)
 

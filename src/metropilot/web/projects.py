@@ -23,36 +23,11 @@ from pydantic import BaseModel, ValidationError
 from metropilot.errors import InputError
 from metropilot.policy import POLICY_FILE
 from metropilot.web.errors import Refused, refusal_of
-from metropilot.web.schemas.requests import (
-    CampaignIn,
-    CompareIn,
-    ConvoyIn,
-    DriveIn,
-    ExportIn,
-    FitIn,
-    JourneyIn,
-    LearnIn,
-    LiveIn,
-    OperationIn,
-    RunningLineIn,
-    StudyIn,
-)
-from metropilot.web.schemas.responses import (
-    CampaignResult,
-    CompareOut,
-    DriveOut,
-    ExportResult,
-    FitOut,
-    JourneyOut,
-    LearnResult,
-    OperationOut,
-    RunningLineOut,
-    StudyResult,
-)
-from metropilot.web.service import SUFFIXES, Service, live_kind, request_values
+from metropilot.web.kinds import JOB_KINDS, request_values, row_of
+from metropilot.web.schemas.requests import CampaignIn
+from metropilot.web.service import SUFFIXES, Service
 from metropilot.web.store import OVER, JobRow, JobStore, ProjectRow, new_job_id, new_upload_id, summarise
 from metropilot.web.work import campaigns, learning
-from metropilot.web.work.drives import FILES
 
 FORMAT = 1
 INDEX = "project.json"
@@ -69,26 +44,8 @@ VERSIONED = ("line", "trainset")
 """Kinds of uploads that are edited, each time as another version."""
 MOST_ENTRIES = 10_000
 """Files of an archive at most."""
-BODIES: dict[str, tuple[type[BaseModel], type[BaseModel]]] = {
-    "drive": (DriveIn, DriveOut),
-    "compare": (CompareIn, CompareOut),
-    "journey": (JourneyIn, JourneyOut),
-    "line": (OperationIn, OperationOut),
-    "fit": (FitIn, FitOut),
-    "live": (LiveIn, DriveOut),
-    "campaign": (CampaignIn, CampaignResult),
-    "learn": (LearnIn, LearnResult),
-    "study": (StudyIn, StudyResult),
-    "export": (ExportIn, ExportResult),
-}
-"""Request and result of the jobs that an archive holds."""
-LIVE: dict[str, tuple[type[BaseModel], type[BaseModel] | None]] = {
-    "run": BODIES["live"],
-    "line": (RunningLineIn, RunningLineOut),
-    "convoy": (ConvoyIn, None),
-}
-"""Those of the kinds of live runs; the result of a convoy is checked by its keys."""
 CONVOY_RESULT = {"kpis", "success", "time_s", "speeds"}
+"""Keys of the result of a convoy."""
 RESTING = (*OVER, "interrupted")
 
 
@@ -198,7 +155,7 @@ def _is_file_of(kind: str, name: str) -> bool:
     if kind in {"learn", "study", "export"}:
         known = learning.run_file_names(resumable=True) if kind == "learn" else ()
         return name in known or (kind == "export" and SOURCE.fullmatch(name) is not None)
-    return name in FILES[kind] or name.endswith((".toml", ".safetensors"))
+    return name in JOB_KINDS[kind].files or name.endswith((".toml", ".safetensors"))
 
 
 async def read_archive(service: Service, content: bytes) -> ProjectRow:
@@ -437,22 +394,22 @@ def _take_job(told: dict[str, Any], files: dict[str, bytes], ids: dict[str, str]
         InputError: Something in it cannot be used.
     """
     key, kind, status = (str(told.get(name)) for name in ("id", "kind", "status"))
-    if kind not in BODIES or status not in RESTING:
-        allowed = ", ".join((*BODIES, *RESTING))
+    if kind not in JOB_KINDS or status not in RESTING:
+        allowed = ", ".join((*JOB_KINDS, *RESTING))
         raise InputError("not a job", file=INDEX, field=field, value=f"{kind} {status}"[:80], allowed=allowed)
     given = told.get("request")
-    body, result = LIVE[live_kind(given)] if kind == "live" and isinstance(given, dict) else BODIES[kind]
+    row = row_of(kind, given)
     prefix = f"jobs/{key}/"
     kept = {name.removeprefix(prefix): data for name, data in files.items() if name.startswith(prefix)}
     try:
         # ids are words of their own, so that they are replaced wherever a request has them
-        request = request_values(body.model_validate(_rename_ids(given, ids)))
+        request = request_values(row.body.model_validate(_rename_ids(given, ids)))
         found = json.loads(kept.pop(RESULT, b"null"))
         run = ids.get(str(told.get("run"))) if kind == "learn" and kept else None
         if kind == "learn":
             found = _rename_ids(found, ids)
-        if found is not None and result is not None:
-            result.model_validate(found)
+        if found is not None and row.result is not None:
+            row.result.model_validate(found)
         elif found is not None and not set(found) >= CONVOY_RESULT:
             raise ValueError("not the result of a convoy")
         if found is not None:

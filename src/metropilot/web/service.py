@@ -23,30 +23,28 @@ from metropilot.operation import OperationOptions
 from metropilot.policy import POLICY_FILE
 from metropilot.railway import document_text, list_lines, list_trainsets, load_line
 from metropilot.web.errors import Refused, detail_of
+from metropilot.web.kinds import JOB_KINDS, check_driver, request_values, row_of
 from metropilot.web.live.session import Session, Spare, place_words, start_spare
-from metropilot.web.pools import LONG, Pools, explain
+from metropilot.web.pools import Pools, explain
 from metropilot.web.schemas.requests import (
     CampaignIn,
-    CompareIn,
     ConvoyIn,
     DriveIn,
     ExportIn,
     FitIn,
     JourneyIn,
-    LearnIn,
     LiveIn,
     OperationIn,
     PlanIn,
     PlantPlanIn,
     RunningLineIn,
     SectionIn,
-    StudyIn,
 )
 from metropilot.web.schemas.requests import request_of as resolve
 from metropilot.web.settings import Settings
 from metropilot.web.store import OVER, JobRow, JobStore, UploadRow, VersionRow
 from metropilot.web.users import check_may_change, present_user
-from metropilot.web.work import campaigns, drives, exports, fits, learning, operations, plans
+from metropilot.web.work import campaigns, exports, fits, operations, plans
 from metropilot.web.work.plans import LOG, LOG_SUFFIX
 
 if TYPE_CHECKING:
@@ -64,22 +62,10 @@ ABANDONED_S = 120.0
 NOT_STARTED = "not started"
 """Words of a job that waited when the server ended."""
 RESUMABLE = ("interrupted", "stopped")
-LIVE_BODIES = {"convoy": ConvoyIn, "line": RunningLineIn, "run": LiveIn}
-"""Requests of live runs by what is driven."""
 LISTED = 6
 """Number of live runs to resume that are listed, the newest first."""
 FORGET = 50
 """Ended live runs kept in memory with their events, for viewers that come back."""
-
-
-def live_kind(request: dict[str, Any]) -> str:
-    """Kind of a live run, one of ``LIVE_BODIES``, by its request."""
-    return "convoy" if "follower" in request else "line" if "headway_s" in request else "run"
-
-
-def request_values(body: BaseModel) -> dict[str, Any]:
-    """Request of a job as it is stored: of a campaign, which is a file, only what it says."""
-    return body.model_dump(by_alias=True, exclude_unset=isinstance(body, CampaignIn))
 
 
 class Service:
@@ -483,10 +469,11 @@ class Service:
 
             RunStore(self.root / "runs").forget(row.run)
 
-    def submit(
-        self, body: DriveIn | CompareIn | OperationIn | CampaignIn | ExportIn | FitIn | LearnIn | StudyIn
-    ) -> str:
+    def submit(self, body: BaseModel) -> str:
         """Queue a job; return its id.
+
+        Args:
+            body: Request of one of ``JOB_KINDS``.
 
         Raises:
             InputError: The job is not possible.
@@ -495,37 +482,10 @@ class Service:
         self.check_room()
         if isinstance(body, OperationIn):
             body = self._with_zones(body)
-        if isinstance(body, LearnIn):
-            self._check_learning(body)
-            kind = "learn"
-        elif isinstance(body, StudyIn):
-            from metropilot.studies import STUDIES
-
-            STUDIES.get(body.study)
-            kind = "study"
-        elif isinstance(body, CampaignIn):
-            campaigns.read_declared(self.campaign_values(body), self.settings.campaign_rows)
-            kind = "campaign"
-        elif isinstance(body, ExportIn):
-            self.export_request(body).read()
-            kind = "export"
-        elif isinstance(body, FitIn):
-            self.fit_request(body).read()
-            kind = "fit"
-        elif isinstance(body, OperationIn):
-            self.operation_request(body).read()
-            kind = "line"
-        else:
-            request = self.run_spec(body)
-            request.run()
-            if isinstance(body, CompareIn):
-                self._drivers_of(body)
-            else:
-                self._check_driver(request)
-            kind = "compare" if isinstance(body, CompareIn) else "drive"
-        values = request_values(body)
-        work = self._work(kind, values, None)
-        job = self.store.new_job(kind, values, self.check_room)
+        kind = next(name for name, row in JOB_KINDS.items() if row.body is type(body))
+        JOB_KINDS[kind].check(self, body)
+        work = self._work(kind, body, None)
+        job = self.store.new_job(kind, request_values(body), self.check_room)
         self._schedule(job, kind, *work)
         return job
 
@@ -548,7 +508,7 @@ class Service:
             return
         self.store.update(job, stop=1)
         future = self.futures.get(job)
-        if row.kind not in {"learn", "campaign"} or row.status == "queued":
+        if not JOB_KINDS[row.kind].checkpoints or row.status == "queued":
             if future is not None:
                 future.cancel()
             self.store.update(job, status="stopped", words="stopped")
@@ -558,45 +518,28 @@ class Service:
 
         Raises:
             InputError: Something that its request names is gone; the job stays as it is.
-            Refused: The job waits, runs or is done (409), or is a live run (409).
+            Refused: The job waits, runs or is done, or no worker computes it, as a live run (409).
         """
         row = self.store.job(job)
-        if row.kind == "live" or row.status in {"queued", "running", "done"}:
+        if JOB_KINDS[row.kind].work is None or row.status in {"queued", "running", "done"}:
             raise Refused(f"a job that is {row.status} cannot be resumed", 409, field="id", value=job)
-        work = self._work(row.kind, row.request, row.run)
+        work = self._work(row.kind, JOB_KINDS[row.kind].body.model_validate(row.request), row.run)
         limit = partial(self.check_limits, jobs=1)
         if not self.store.update(job, limit, (row.status,), status="queued", words="", stop=0, error=None):
             raise Refused("a job that is queued cannot be resumed", 409, field="id", value=job)
         self._schedule(job, row.kind, *work)
 
-    def _work(self, kind: str, body: dict[str, Any], run: str | None) -> tuple[Any, ...]:
+    def _work(self, kind: str, body: BaseModel, run: str | None) -> tuple[Any, ...]:
         """Function of a job's worker and its arguments after folder and id.
 
         Raises:
             InputError: Something that the request names does not exist.
         """
-        if kind == "learn":
-            work = learning.learn_job, body, run
-        elif kind == "study":
-            work = learning.study_job, body
-        elif kind == "campaign":
-            work = campaigns.campaign_job, self.campaign_values(CampaignIn.model_validate(body))
-        elif kind == "export":
-            work = exports.export_job, self.export_request(ExportIn.model_validate(body))
-        elif kind == "fit":
-            work = fits.fit_job, self.fit_request(FitIn.model_validate(body))
-        elif kind == "line":
-            work = operations.line_job, self.operation_request(OperationIn.model_validate(body))
-        elif kind == "compare":
-            compared = CompareIn.model_validate(body)
-            what = (self.run_spec(compared), self._drivers_of(compared), compared.seeds)
-            work = drives.compare_job, *what
-        else:
-            work = drives.drive_job, self.run_spec(DriveIn.model_validate(body))
-        return work
+        row = JOB_KINDS[kind]
+        return row.work, *row.values(self, body, run)
 
     def _schedule(self, job: str, kind: str, function: Callable[..., Any], *values: object) -> None:
-        future = self.pools.submit(kind, function, str(self.root), job, *values)
+        future = self.pools.submit(function, str(self.root), job, *values, long=JOB_KINDS[kind].long)
         self.futures[job] = future
         future.add_done_callback(lambda done: self._store_result(job, kind, done))
 
@@ -610,51 +553,15 @@ class Service:
             return
         error = future.exception()
         if error is not None:
-            bound = self.settings.learn_s if kind in LONG else self.settings.job_s
+            bound = self.settings.learn_s if JOB_KINDS[kind].long else self.settings.job_s
             told = detail_of(explain(error, bound))
             self.store.update(job, status="failed", words=told["message"], error=told)
             return
         result = future.result()
-        stopped = kind in {"learn", "campaign"} and result["stopped"]
+        stopped = JOB_KINDS[kind].checkpoints and result["stopped"]
         words = "stopped; it can be resumed" if stopped else ""
         done = {} if stopped else {"progress": 1.0}
         self.store.update(job, status="stopped" if stopped else "done", words=words, result=result, **done)
-
-    @staticmethod
-    def _check_driver(request: RunSpec) -> None:
-        """Make the driver and read its policy.
-
-        Raises:
-            InputError: No such driver or option, or the policy is none of this driver's.
-        """
-        driver = request.make_driver()
-        try:
-            driver.read_policy()
-        except InputError as error:
-            told = {"value": error.value, "unit": error.unit, "allowed": error.allowed}
-            raise InputError(error.message, field=f"options.{POLICY}", **told) from None
-
-    def _drivers_of(self, body: CompareIn) -> dict[str, str]:
-        """Drivers of a comparison for :func:`metropilot.evaluate.compare`, by name.
-
-        Raises:
-            InputError: No such driver, or no such option of it.
-        """
-        found = {}
-        for name in body.drivers:
-            options = body.options if name == body.driver else {}
-            request = self.run_spec(body.model_copy(update={"driver": name, "options": options}))
-            self._check_driver(request)
-            found[name] = ":".join([request.driver, *(f"{k}={v}" for k, v in request.options.items())])
-        return found
-
-    @staticmethod
-    def _check_learning(body: LearnIn) -> None:
-        from metropilot.learn import recipe
-
-        row = recipe(body.driver)
-        row.configuration(body.budget, **learning.recipe_fields(body.model_dump()))
-        row.task_configuration(body.task)
 
     def _mark_run(self, run: str) -> None:
         """Mark a learning run without a process as interrupted."""
@@ -739,7 +646,7 @@ class Service:
         row = self.store.job(job)
         if row.kind != "live" or row.status not in RESUMABLE:
             raise Refused(f"a {row.kind} that is {row.status} cannot be resumed", 409, field="id", value=job)
-        return await self.go_live(LIVE_BODIES[live_kind(row.request)].model_validate(row.request), job)
+        return await self.go_live(row_of(row.kind, row.request).body.model_validate(row.request), job)
 
     def live_run(self, job: str) -> JobRow:
         """Stored row of a live run or convoy, also of an earlier server, or of a drive.
@@ -789,7 +696,7 @@ class Service:
     def _run(self, body: LiveIn) -> RunSpec:
         request = self.run_spec(body)
         request.run()
-        self._check_driver(request)
+        check_driver(request)
         return request
 
     def _convoy(self, body: ConvoyIn) -> ConvoyRequest:

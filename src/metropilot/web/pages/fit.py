@@ -12,6 +12,7 @@ from metropilot.errors import MetropilotError
 from metropilot.fit import GROUPS
 from metropilot.web import catalogue
 from metropilot.web.errors import Refused, error_of
+from metropilot.web.kinds import JOB_KINDS
 from metropilot.web.live.session import GOING
 from metropilot.web.pages.document import describe
 from metropilot.web.pages.form import loads, validate
@@ -37,7 +38,6 @@ from metropilot.web.store import JobRow
 from metropilot.web.words.language import N_, _, translate_each
 from metropilot.web.words.said import retell
 from metropilot.web.words.tables import number
-from metropilot.web.work.drives import FILES
 from metropilot.web.work.plans import LOG
 
 POLL_S = 0.5
@@ -279,7 +279,7 @@ class FitPage:
                     rows = [_cells(each) for each in found[name]]
                     table(head, rows, right=(1, 2), name=title)
                 self.show_remarks(found)
-                files = [(name, f"/api/jobs/{row.id}/files/{name}") for name in FILES["fit"]]
+                files = [(name, f"/api/jobs/{row.id}/files/{name}") for name in JOB_KINDS["fit"].files]
                 links([*files, ("run.zip", f"/api/jobs/{row.id}/files/run.zip")])
             self.build_save(row)
             with card(_("Residuals"), _("Measured and simulated speed; what remains; its autocorrelation.")):

@@ -28,38 +28,6 @@ from metropilot.sim import COLUMNS, Drive, drive
 from metropilot.web.store import JobStore
 from metropilot.web.work.plans import numbers, plan_out
 
-MOST = 6
-"""Largest number of trainsets of a live convoy."""
-FILES = {
-    "drive": ("trajectory.csv", "kpis.json", "explanation.json", "profile.svg", "profile.png", "run.toml"),
-    "live": (
-        "trajectory.csv",
-        "kpis.json",
-        "explanation.json",
-        "profile.svg",
-        "profile.png",
-        "run.toml",
-        "run.json",
-        "convoy.svg",
-        "convoy.png",
-        "trajectories.zip",
-        "delays.csv",
-        *(f"trajectory-{k + 1}.csv" for k in range(MOST)),
-    ),
-    "compare": ("comparison.json", "comparison.svg", "comparison.png", "run.toml"),
-    "campaign": ("results.parquet",),
-    "fit": ("trainset.toml", "fit.json", "residuals.svg", "residuals.png"),
-    "line": (
-        "line.json",
-        "day.json",
-        "run.toml",
-        "timetable.csv",
-        "timetable.parquet",
-        "gtfs.zip",
-        *(f"{name}.{kind}" for name in ("trains", "power", "voltage") for kind in ("svg", "png")),
-    ),
-}
-
 
 def drive_out(driven: Drive, kpis: Kpis, optimum: Optimum | None, explanation: Explanation) -> dict[str, Any]:
     """Convert a drive to plain values."""
