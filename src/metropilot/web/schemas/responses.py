@@ -2,9 +2,20 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal, Self, get_type_hints
 
-from pydantic import BaseModel, Field, model_validator
+from pydantic import BaseModel, Field, create_model, model_validator
+
+from metropilot.evaluate import (
+    BoundSpan,
+    FeatureMoment,
+    FeatureShare,
+    InterventionSpan,
+    RegimeSpan,
+    TimePrice,
+)
+from metropilot.fit import FittedParameter
+from metropilot.studies import ReportRow
 
 JobKind = Literal[
     "drive", "compare", "journey", "line", "campaign", "export", "fit", "learn", "study", "live"
@@ -12,6 +23,18 @@ JobKind = Literal[
 UploadKind = Literal["line", "trainset", "policy", "log"]
 JobStatus = Literal["queued", "running", "done", "failed", "stopped", "interrupted"]
 JobSort = Literal["created", "name", "kind", "status", "time_s", "energy_kwh", "gap_percent"]
+
+
+def fields_of(kind: type[Any], *left_out: str) -> type[BaseModel]:
+    """Base of a body with the fields of a tuple or dataclass.
+
+    Args:
+        kind: The tuple or dataclass.
+        left_out: Fields without one.
+    """
+    found: dict[str, Any] = {name: (hint, ...) for name, hint in get_type_hints(kind).items()}
+    fields = {name: hint for name, hint in found.items() if name not in left_out}
+    return create_model(f"{kind.__name__}Fields", **fields)
 
 
 class Health(BaseModel):
@@ -262,72 +285,32 @@ class CheckOut(BaseModel):
     passed: bool
 
 
-class RegimeOut(BaseModel):
+class RegimeOut(fields_of(RegimeSpan)):
     """A part of a drive in one regime: what bound most of it, energy, loss to trainset and driver."""
 
-    regime: str
-    from_m: float
-    to_m: float
-    from_s: float
-    to_s: float
-    bound: str
-    energy_wheel_j: float
-    trainset_loss_j: float | None
-    driver_loss_j: float | None
 
-
-class BoundOut(BaseModel):
+class BoundOut(fields_of(BoundSpan)):
     """A part of a drive that one thing bound."""
 
-    bound: str
-    from_m: float
-    to_m: float
-    from_s: float
-    to_s: float
 
-
-class InterventionOut(BaseModel):
+class InterventionOut(fields_of(InterventionSpan)):
     """An intervention of protection, and the position up to which the permitted speed fell from there."""
 
-    guard: str
-    from_m: float
-    to_m: float
-    from_s: float
-    to_s: float
-    speed_mps: float
-    permitted_mps: float
-    ahead_m: float
 
-
-class TimePriceOut(BaseModel):
+class TimePriceOut(fields_of(TimePrice)):
     """Worth of a second at a moment: marginal price, energy that one more saves and one less costs."""
 
-    time_s: float
-    position_m: float
-    second_w: float
-    later_j: float
-    sooner_j: float | None
 
-
-class FeatureShareOut(BaseModel):
+class FeatureShareOut(fields_of(FeatureShare)):
     """Share of a feature in a learned driver's decision."""
 
-    feature: str
-    words: str
-    share: float
 
-
-class DecisionOut(BaseModel):
+class DecisionOut(fields_of(FeatureMoment, "shares")):
     """Decision of a learned driver; its shares sum up to the output less that of the mean observation.
 
     ``meaning``: what a positive share speaks for.
     """
 
-    time_s: float
-    position_m: float
-    output: float
-    usual: float
-    meaning: str
     shares: list[FeatureShareOut]
 
 
@@ -452,17 +435,8 @@ class OperationOut(BaseModel):
     files: list[str]
 
 
-class FittedOut(BaseModel):
+class FittedOut(fields_of(FittedParameter)):
     """A parameter with its 95 % interval; kept at the trainset's value where it is not estimated."""
-
-    id: str
-    label: str
-    unit: str
-    value: float
-    low: float
-    high: float
-    nominal: float
-    estimated: bool
 
 
 class ResidualsOut(BaseModel):
@@ -662,19 +636,8 @@ class StudyFigure(BaseModel):
     caption: str
 
 
-class StudyRow(BaseModel):
+class StudyRow(fields_of(ReportRow, "values")):
     """A number of a study: published, reproduced with its range over seeds, optimal."""
-
-    table: str
-    case: str
-    driver: str
-    kpi: str
-    unit: str
-    published: float | None
-    ours: float | None
-    low: float | None
-    high: float | None
-    optimum: float | None
 
 
 class StudyResult(BaseModel):
