@@ -88,6 +88,21 @@ def line(
     }
 
 
+def markers(name: str, x: Sequence[Any], y: Sequence[Any], colour: str, size: int = 10, **more: Any) -> Trace:  # noqa: ANN401
+    """Make a trace of markers; ``symbol`` and ``line`` go into its ``marker``."""
+    style = {"color": colour, "size": size}
+    style |= {key: more.pop(key) for key in ("symbol", "line") if key in more}
+    return {
+        "type": "scatter",
+        "mode": "markers",
+        "name": name,
+        "x": list(x),
+        "y": list(y),
+        "marker": style,
+        **more,
+    }
+
+
 def kmh(speeds: Sequence[float]) -> list[float]:
     """Convert speeds to km/h."""
     return [round(v * KMH_PER_MPS, 3) for v in speeds]
@@ -124,14 +139,7 @@ def run_figure() -> Figure:
         line(_("permitted speed"), [], [], ORANGE, width=1.6, dash="dash"),
         line(_("optimal plan"), [], [], SKY, width=6.0, opacity=0.65),
         line(_("driven"), [], [], BLUE, width=2.2),
-        {
-            "type": "scatter",
-            "mode": "markers",
-            "name": _("protection"),
-            "x": [],
-            "y": [],
-            "marker": {"symbol": "triangle-down", "size": 10, "color": VERMILION},
-        },
+        markers(_("protection"), [], [], VERMILION, symbol="triangle-down"),
         head,
         line(_("command"), [], [], BLUE, width=1.4, shape="hv", fill="tozeroy", yaxis="y2", showlegend=False),
         line(_("plan's energy"), [], [], SKY, width=6.0, opacity=0.65, yaxis="y3", showlegend=False),
@@ -295,11 +303,9 @@ def explanation_figure(driven: dict[str, Any]) -> Figure:
         traces.insert(2, optimal)
     hits = told["interventions"]
     if hits:
-        marker = {"symbol": "triangle-down", "size": 10, "color": VERMILION}
-        shown = {"type": "scatter", "mode": "markers", "name": _("protection"), "marker": marker}
-        places = [hit["from_m"] for hit in hits]
-        speeds = kmh([hit["speed_mps"] for hit in hits])
-        traces.append({**shown, "x": places, "y": speeds, "text": [retell(hit["guard"]) for hit in hits]})
+        places, speeds = [hit["from_m"] for hit in hits], kmh([hit["speed_mps"] for hit in hits])
+        more = {"symbol": "triangle-down", "text": [retell(hit["guard"]) for hit in hits]}
+        traces.append(markers(_("protection"), places, speeds, VERMILION, **more))
     for bound, colour in BOUND_COLOURS.items():
         spans = [span for span in told["bounds"] if span["bound"] == bound and span["to_m"] > span["from_m"]]
         x = [value for span in spans for value in (span["from_m"], span["to_m"], None)]
@@ -417,15 +423,7 @@ def front_figure(
     time_s, here = cursor
     traces = [
         line(_("optimum"), front["time_s"], energy, SKY, width=4.0, mode="lines+markers", shape="spline"),
-        {
-            "type": "scatter",
-            "mode": "markers",
-            "name": _("cursor"),
-            "x": [time_s],
-            "y": [here],
-            "marker": {"size": 13, "color": SKY, "line": {"width": 3, "color": "#fff"}},
-            "showlegend": False,
-        },
+        markers(_("cursor"), [time_s], [here], SKY, 13, line={"width": 3, "color": "#fff"}, showlegend=False),
     ]
     styles = driver_styles([entry["driver"] for entry in entries])
     for entry in entries:
@@ -433,16 +431,8 @@ def front_figure(
         if kpis["outcome"] != "arrived":
             continue
         colour, dashes = styles[entry["driver"]]
-        traces.append(
-            {
-                "type": "scatter",
-                "mode": "markers",
-                "name": entry["driver"],
-                "x": [kpis["running_time_s"]],
-                "y": [kpis["energy_wheel_kwh"]],
-                "marker": {"size": 10, "color": colour, "symbol": SYMBOLS[dashes]},
-            }
-        )
+        at = [kpis["running_time_s"]], [kpis["energy_wheel_kwh"]]
+        traces.append(markers(entry["driver"], *at, colour, symbol=SYMBOLS[dashes]))
     least = front["minimum_running_time_s"]
     wall = {"type": "line", "x0": least, "x1": least, "yref": "paper", "y0": 0, "y1": 1}
     now = {"type": "line", "x0": time_s, "x1": time_s, "yref": "paper", "y0": 0, "y1": 1}
