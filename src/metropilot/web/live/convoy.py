@@ -8,13 +8,13 @@ from typing import Any
 from metropilot.convoy import ConvoyRequest, ConvoyRollout, Link, convoy_kpis, write_convoy
 from metropilot.errors import InputError
 from metropilot.protection import LEVELS
+from metropilot.web.live.engine import Event, LeverlessEngine
 from metropilot.web.work.plans import numbers, station, window
 
-Event = dict[str, Any]
 SILENT = float("inf")
 
 
-class ConvoyEngine:
+class ConvoyEngine(LeverlessEngine):
     """A live convoy, with the methods of :class:`metropilot.web.live.engine.Engine`.
 
     Args:
@@ -66,21 +66,6 @@ class ConvoyEngine:
             [round(max(time_s - float(s.channel.heard.stamp_s), 0.0), 2) for s in states[1:]],
             self.steps,
         ]
-
-    def holds(self, event: Event) -> bool:
-        """Tell whether an event changes nothing."""
-        return event["kind"] == "lever" and event["share"] is None
-
-    def lever_expired(self) -> bool:
-        """A convoy has no lever."""
-        return False
-
-    def lever(self) -> None:
-        """None: a convoy has no lever."""
-
-    def pop_updates(self) -> list[str]:
-        """Empty: the head of a convoy gets no timetable updates."""
-        return []
 
     def apply(self, event: Event) -> str:
         """Change the link or apply the emergency brake of the head; return a description.

@@ -40,6 +40,25 @@ NEAREST_STEP_M = 20.0
 Event = dict[str, Any]
 
 
+class LeverlessEngine:
+    """Base of live runs with neither a lever nor timetable updates."""
+
+    def holds(self, event: Event) -> bool:
+        """Tell whether an event changes nothing: it returns a lever that nobody holds."""
+        return event["kind"] == "lever" and event["share"] is None
+
+    def lever_expired(self) -> bool:
+        """False: there is no lever."""
+        return False
+
+    def lever(self) -> None:
+        """None: there is no lever."""
+
+    def pop_updates(self) -> list[str]:
+        """Empty: there are no timetable updates."""
+        return []
+
+
 class Engine:
     """A live run.
 

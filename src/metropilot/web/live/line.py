@@ -16,9 +16,9 @@ from metropilot.operation import (
     TrainHold,
     operation_energy,
 )
+from metropilot.web.live.engine import Event, LeverlessEngine
 from metropilot.web.work.plans import LineRequest, numbers, station
 
-Event = dict[str, Any]
 ROW_S = 5.0
 """Time between two rows; the line itself is looked at every second."""
 DELAYS = "delays.csv"
@@ -39,7 +39,7 @@ class RunningRequest(LineRequest):
     lasts_s: float
 
 
-class LineEngine:
+class LineEngine(LeverlessEngine):
     """A running line, with the methods of :class:`metropilot.web.live.engine.Engine`.
 
     Args:
@@ -91,17 +91,6 @@ class LineEngine:
     def pop_updates(self) -> list[str]:
         """Descriptions of what happened since the last call."""
         return [words for _, words in self.running.pop_news()]
-
-    def holds(self, event: Event) -> bool:
-        """Tell whether an event changes nothing."""
-        return event["kind"] == "lever" and event["share"] is None
-
-    def lever_expired(self) -> bool:
-        """A line has no lever."""
-        return False
-
-    def lever(self) -> None:
-        """None: a line has no lever."""
 
     def apply(self, event: Event) -> str:
         """Hold a train or slow a section; return a description.
