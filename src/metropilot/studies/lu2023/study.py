@@ -70,7 +70,7 @@ CLAIMS = (
         _claim(plan.name, kpi, words)
         for plan in PLANS
         for kpi, words in (
-            (STOP, "improved DQN, braked by the stop assist, stops at the mark"),
+            (STOP, "improved DQN with the stop assist stops at the mark"),
             (LATE, "it keeps the time"),
             (ENERGY, "it saves energy"),
         )

@@ -23,7 +23,7 @@ WORDS = (
     N_("parking error"),
     N_("total position error"),
     N_("average speed error"),
-    N_("improved DQN stops at the mark"),
+    N_("improved DQN with the stop assist stops at the mark"),
     N_("it keeps the time"),
     N_("it saves energy"),
     N_("improved DQN converges faster than DQN"),
