@@ -149,6 +149,15 @@ def weigh(weights, x, pair, row):
     return weights[1] - row[1], (x, 2.0), row + pair[1]
 
 
+TABLE = np.arange(15.0).reshape(3, 5) ** 2
+
+
+def looked_up(x, y):
+    table, k = TABLE, min(max(int(x), 0), 2)
+    row, ends = table[k, 1:-1], table[k, -1] - y * table[k, -4]
+    return ends + table[-1, k] + row[-1] + row.sum()
+
+
 def calls(x, y):
     row = np.array([1.0, -2.0, 3.0]) * y
     first, pair, after = weigh((2.0, 3.0), x, (y, 1.0), row)
@@ -169,7 +178,7 @@ def branches():
     return module
 
 
-@pytest.mark.parametrize("name", ["interpolate", "early", "least", "arrays", "chained", "calls"])
+@pytest.mark.parametrize("name", ["interpolate", "early", "least", "arrays", "chained", "looked_up", "calls"])
 def test_every_way_through_a_function_is_in_the_graph(tmp_path, monkeypatch, branches, name):
     monkeypatch.setattr(branching, "SHARED", {"weigh": (0,)})
     function = getattr(branches, name)
@@ -177,13 +186,14 @@ def test_every_way_through_a_function_is_in_the_graph(tmp_path, monkeypatch, bra
     def call(x, y):
         return function(branches.KNOTS, x) if name == "interpolate" else function(x, y)
 
+    constants = branches.KNOTS, branches.TABLE
     with double_precision():
         tracer = BranchTracer(np.float64)
         x, y = (tracer.input((), np.dtype(np.float64), k) for k in range(2))
-        knots, branches.KNOTS = branches.KNOTS, tracer.constant(branches.KNOTS)
+        branches.KNOTS, branches.TABLE = map(tracer.constant, constants)
         with tracer.apply_to([branches, sys.modules[repeat.__module__]]):
             found = tracer.run(lambda: call(x, y), name)
-        branches.KNOTS = knots
+        branches.KNOTS, branches.TABLE = constants
         graph = Graph([x.node, y.node], [found.node], drop_unused(tracer.nodes, [found.node]))
         tables = Tables()
         body = "\n".join(emit_body(graph, ["x", "y"], ["out"], tables))
@@ -277,11 +287,12 @@ def test_a_learned_driver_keeps_its_tables_aboard_a_late_trainset():
     assert aboard.act(kept._replace(monitor=monitor), given)[1].rows is kept.rows
 
 
-def test_a_learned_driver_aboard_a_late_trainset_drives_as_in_python(tmp_path):
+@pytest.mark.parametrize("name", ["ppo", "generalist"])
+def test_a_learned_driver_aboard_a_late_trainset_drives_as_in_python(tmp_path, name):
     """Its estimate, the prediction, the careful stop and the command that protection admits."""
     run = late_run()
-    loaded = load_driving_policy(shipped_policy("ppo"))
-    program = trace_driver("ppo", loaded, [run.section], run.trainset)
+    loaded = load_driving_policy(shipped_policy(name))
+    program = trace_driver(name, loaded, [run.section], run.trainset)
     write_driver(program, tmp_path)
     driver = compile_driver(program, tmp_path, options=("-O0",))
     driven = drive_compiled(driver, 0, run.scheduled_time_s)

@@ -206,6 +206,7 @@ BAD = [
     (("export", "ppo", *ABOARD, "--number", "half"), "allowed: double, float"),
     (("export", "ppo", *ABOARD, "--sections", "RJ"), "allowed: ORIGIN-DESTINATION"),
     (("export", "ppo", *ABOARD, "--sections", "RJ-NOWHERE"), "NOWHERE"),
+    (("export", "ppo", *ABOARD, "--sections", "RJ-WYJ,RJ-WYJ"), "allowed: each section once"),
     *(
         (("export", name, *ABOARD), "plans or searches as it drives, which has no form in C")
         for name in ("optimal", "mpc")

@@ -1,5 +1,7 @@
 """Effort curves, adhesion, blending of the brakes, efficiency maps and energies."""
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.interpolate import RegularGridInterpolator
@@ -29,6 +31,16 @@ def test_curves_are_the_railway_layers_own(name):
     electric = [physics.electric_available_n(vehicle, v) for v in SPEEDS]
     np.testing.assert_allclose(traction, expected, rtol=1e-12)
     np.testing.assert_allclose(electric, expected, rtol=1e-12)
+
+
+def test_a_compiled_supervisor_reads_a_curve_of_many_pieces():
+    """An export ended with an internal error: a constant was indexed by what is only traced."""
+    curve = EffortCurve.table(np.linspace(0.0, 20.0, 7), np.linspace(2e5, 5e4, 7))
+    vehicle = physics.vehicle_arrays(cases.trainset(traction=curve))
+    with physics.double_precision():
+        compiled = jax.jit(lambda speed: physics.traction_available_n(vehicle, speed))
+        found = [float(compiled(jnp.float64(v))) for v in SPEEDS[::20]]
+    np.testing.assert_allclose(found, curve.at(SPEEDS[::20]), rtol=1e-12)
 
 
 def test_a_piece_begins_exactly_at_its_speed():

@@ -121,7 +121,11 @@ class Symbol:
         if not any(isinstance(part, Symbol) for part in parts):
             return self.tracer.call(("static", repr(index)), lambda x: x[index], self)
         places = [part for part in parts if isinstance(part, Symbol)]
-        kept = tuple(None if isinstance(part, Symbol) else part for part in parts)
+        # a constant index from the end is known here; one that is known only aboard is never negative
+        kept = tuple(
+            None if isinstance(part, Symbol) else part + size if isinstance(part, int) and part < 0 else part
+            for part, size in zip(parts, self.shape, strict=False)
+        )
 
         def look_up(x: Any, *given: Any) -> Any:  # noqa: ANN401 (arrays)
             rest = iter(given)

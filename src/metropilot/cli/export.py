@@ -176,7 +176,10 @@ def choose_sections(line: Line, sections: str | None) -> list[Section]:
         ends = word.split("-")
         if len(ends) != 2:
             raise InputError("not a section", field="sections", value=word, allowed="ORIGIN-DESTINATION,...")
-        found.append(line.section(*ends))
+        section = line.section(*ends)
+        if section in found:
+            raise InputError("section named twice", field="sections", value=word, allowed="each section once")
+        found.append(section)
     return found
 
 

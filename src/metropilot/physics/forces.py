@@ -38,8 +38,11 @@ def curve_n(
 @no_type_check
 def _row(xp: Any, pieces: Float[Array, "pieces 6"], k: Index, j: int) -> Scalar:
     """``pieces[k, j]``; in a compiled batch by choosing among the few pieces, sooner than by fetching."""
-    if not hasattr(xp, "ndarray") or xp.ndim(k) or type(k) is int or pieces.shape[0] > FEW:
+    if not hasattr(xp, "ndarray") or xp.ndim(k) or type(k) is int:
         return pieces[k, j]
+    if pieces.shape[0] > FEW:
+        # a constant of NumPy cannot be indexed by what is only traced
+        return (pieces if xp is np else xp.asarray(pieces))[k, j]
     value = pieces[0, j]
     for piece in range(1, pieces.shape[0]):
         value = xp.where(k >= piece, pieces[piece, j], value)
