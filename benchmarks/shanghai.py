@@ -176,7 +176,7 @@ def measure_replica() -> tuple[list[list[str]], Clock, dict[str, float]]:
     own_w = operation.trainset.auxiliary_w
     plans["optimal"] += [operation.profiles(received_w=share * own_w) for share in (1.0, 4.0)]
     clock.step("line and plans")
-    starts = plain_days(operation, day, phases=2)
+    starts = plain_days(operation, day, [plans[name][0] for name in DRIVINGS], phases=2)
     plain = {
         name: float(np.mean([kwh(operation, each, plans[name]) for each in starts])) for name in DRIVINGS
     }

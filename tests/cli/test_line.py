@@ -70,13 +70,29 @@ def test_the_command_prints_and_writes(typed, tmp_path):
     assert "--optimise" in said.out
 
 
+def test_a_short_line_and_a_short_dwell_need_no_other_option(typed):
+    said = typed("line", "lu2023", "--dwell", "5", "--json")
+    assert said.code == 0, said.err
+    assert json.loads(said.out)["feeding"]["zones"] == 1
+
+
+def test_the_text_says_which_timetable_takes_what_on_the_network(typed):
+    words = ("line", "yizhuang", "--headway", "600", "--dwell-window", "0", "--time-window", "0")
+    fed = (*words, "--feeding", "yizhuang", "--optimise")
+    told = json.loads(typed(*fed, "--json").out)["feeding"]["network"]
+    said = " ".join(typed(*fed).out.split())
+    assert f"optimal driving {told['driving_only_kwh']:.1f} and {told['zones_timetable_kwh']:.1f}." in said
+    assert f"{told['energy_kwh']:.1f} kWh with the timetable sought on the network" in said
+    assert told["energy_kwh"] < told["zones_timetable_kwh"]
+
+
 @pytest.mark.parametrize(
     ("words", "told"),
     [
         (("yizhuang", "--zones", "0"), "--zones"),
         (("yizhuang", "--zones", "14"), "one for each section"),
         (("yizhuang", "--headway", "30"), "trains disturb one another at station"),
-        (("yizhuang", "--dwell", "5"), "--dwell-window"),
+        (("yizhuang", "--dwell", "5", "--dwell-window", "6"), "--dwell-window"),
         (("yizhuang", "--sharp"), "where each section is a zone"),
         (("nowhere",), "nowhere"),
         (("yizhuang", "--trainset", "none"), "none"),
@@ -92,6 +108,9 @@ def test_the_command_prints_and_writes(typed, tmp_path):
         ),
         (("yizhuang", "--timetable", "x.zip"), "x.zip: timetable: cannot be read"),
         (("yizhuang", "--day", "yizhuang", "--headway", "90"), "--headway: a day has its own headways"),
+        (("yizhuang", "--timetable", "x.zip", "--dwell", "40"), "--dwell: a timetable that is given has its"),
+        (("yizhuang", "--timetable", "x.zip", "--dwell-window", "5"), "--dwell-window: a timetable that is"),
+        (("yizhuang", "--timetable", "x.zip", "--time-window", "2"), "--time-window: a timetable that is"),
         (("yizhuang", "--timetable", "x.zip", "--optimise"), "--optimise: a timetable that is given"),
         (("yizhuang", "--day", "yizhuang", "--driver", "nobody"), "--driver: unknown driver"),
         (("yizhuang", "--driver", "nobody"), "--driver: unknown driver"),

@@ -17,16 +17,18 @@ from metropilot.operation import (
     PeriodicPart,
     ServiceScatter,
     TripDrives,
+    check_day,
     day_energy,
     day_floor_j,
     feed_day,
     lay_out_day,
     link_trains,
+    plain_days,
     plan_trips,
     repeat_timetables,
     timetable_energy,
 )
-from metropilot.railway import Period, ServiceDay, load_feeding
+from metropilot.railway import Period, ServiceDay, Storage, load_feeding
 
 HOUR_S = 3600
 
@@ -118,12 +120,43 @@ def test_the_network_of_a_day_balances_and_costs_more_than_zones():
     feeding = load_feeding("yizhuang")
     network = replace(feeding, substations=feeding.substations[:4])
     line = LineDay(operation(), repeat_timetables([part(0, 3000)]), [profiles()])
-    fed = feed_day(line, network)
+    links = link_trains(line.timetable, 120, 900)
+    fed = feed_day(line, network, links)
     assert abs(fed.flow.imbalance) < 1e-9
     assert fed.energy_kwh > line.energy().supplied_kwh
     weak = replace(network, substations=(replace(network.substations[0], resistance_ohm=0.2),))
     with pytest.raises(Infeasible, match=r"train \d+ at \d+ m in second \d+"):
-        feed_day(line, weak)
+        feed_day(line, weak, links)
+
+
+def test_a_train_keeps_its_storage_from_journey_to_journey():
+    line = LineDay(operation(), repeat_timetables([part(0, 3000)]), [profiles()])
+    links = link_trains(line.timetable, 120, 900)
+    loads, _ = line.loads(links)
+    parts = loads.journeys()
+    assert len(parts) == links.fleet < line.timetable.journeys
+    for number, rows in enumerate(parts):
+        assert (np.diff(loads.second[rows]) >= 1).all()
+        driven = set(zip(loads.backward[rows].tolist(), loads.train[rows].tolist(), strict=True))
+        assert driven == {
+            (bool(way), int(j))
+            for way, train in enumerate(links.train)
+            for j in np.flatnonzero(train == number)
+        }
+
+
+def test_storages_give_a_day_no_energy_that_they_did_not_take():
+    feeding = load_feeding("yizhuang")
+    aboard = Storage(capacity_j=72e6, power_w=8e5, charge_above_v=855.0, discharge_below_v=845.0)
+    bare = replace(feeding, substations=feeding.substations[:4])
+    line = LineDay(operation(), repeat_timetables([part(0, 3000)]), [profiles()])
+    links = link_trains(line.timetable, 120, 900)
+    fed, without = (feed_day(line, each, links) for each in (replace(bare, onboard=aboard), bare))
+    assert abs(fed.flow.stored_j) < 10.0
+    given = -fed.flow.onboard_w[fed.flow.onboard_w < 0.0].sum()
+    taken = fed.flow.onboard_w[fed.flow.onboard_w > 0.0].sum()
+    assert 0.0 < given == pytest.approx(0.95**2 * taken, rel=1e-4)
+    assert 0.9 * without.energy_kwh < fed.energy_kwh < without.energy_kwh
 
 
 def test_periods_follow_each_other_without_a_train_too_near():
@@ -146,6 +179,52 @@ def test_periods_follow_each_other_without_a_train_too_near():
     assert sorted(set(np.diff(found.forward.departure_s[:, 0]))) == [77.0, 120.0, 400.0]
 
 
+def complaint_of(line, timetable, driven):
+    """Complaint of a day with every trip driven by the same profiles; empty if it is possible."""
+    try:
+        check_day(line, timetable, [driven] * 3)
+    except InputError as error:
+        return error.line()
+    return ""
+
+
+@pytest.mark.parametrize("driving", ["optimal", "cruise"])
+def test_a_train_that_dwells_less_does_not_reach_the_one_ahead(driving):
+    periods = (
+        Period(name="slow", from_s=0, to_s=2000, headway_s=300, dwell_s=150),
+        Period(name="fast", from_s=2000, to_s=4000, headway_s=110, dwell_s=15),
+    )
+    line, day = operation(), replace(working_day(), periods=periods)
+    plans = plan_trips(line)
+    drivings = [plans["optimal"][0], *plans["cruise"]]
+    found = lay_out_day(line, day, plans[driving], others=drivings)
+    check_day(line, found, plans[driving])
+    for timetable in (found, *plain_days(line, day, drivings)):
+        for each in drivings:
+            assert complaint_of(line, timetable, each) == ""
+    first = int(np.flatnonzero(found.forward.period == 1)[0])
+    gap_s = found.forward.departure_s[first, 0] - found.forward.departure_s[first - 1, 0]
+    assert gap_s > 300.0
+    # a second less is refused
+    near = [each.departure_s - (each.period == 1)[:, None] for each in found]
+    nearer = DayTimetable(*(each._replace(departure_s=s) for each, s in zip(found, near, strict=True)))
+    complaints = [complaint_of(line, nearer, each) for each in drivings]
+    assert any("allowed: at least" in each for each in complaints)
+
+
+def test_timetables_are_compared_at_as_many_journeys():
+    periods = (Period(name="one", from_s=0, to_s=1300, headway_s=400),)
+    line, day = operation(), replace(working_day(), periods=periods)
+    plans = plan_trips(line)
+    found = day_energy(line, day, plans=plans)
+    journeys = found.day.timetable.journeys
+    plain = plain_days(line, day, [plans["optimal"][0], *plans["cruise"]])
+    counts = {each.journeys for each in plain}
+    assert len(counts) > 1
+    each_kwh = [LineDay(line, each, plans["cruise"]).energy().supplied_kwh / each.journeys for each in plain]
+    assert found.cruise_kwh == pytest.approx(journeys * np.mean(each_kwh), rel=1e-9)
+
+
 def test_a_period_after_a_pause_begins_anew():
     found = repeat_timetables([part(0, 1000), part(5000, 6000)])
     assert found.forward.departure_s[found.forward.period == 1, 0][0] == 5000.0
@@ -165,6 +244,11 @@ def test_a_train_that_waits_too_long_goes_to_the_depot_and_may_come_back():
     patient, hasty = (link_trains(day, 50, wait_s) for wait_s in (850, 849))
     assert (patient.fleet, patient.pull_outs) == (1, 1)
     assert (hasty.fleet, hasty.pull_outs, hasty.train[1].tolist()) == (1, 3, [0])
+
+
+def test_a_train_at_the_other_end_comes_from_the_depot_as_well():
+    links = link_trains(DayTimetable(one_way(0, 2000), one_way(4000)), 50, 900)
+    assert (links.fleet, links.pull_outs) == (1, 3)
 
 
 @pytest.mark.parametrize("headway_s", [97, 120, 400])
@@ -270,6 +354,17 @@ def test_a_searched_day_stays_within_its_windows_and_above_a_lower_floor():
         planned_s = line.planned_s[line.count * way :][: line.count]
         assert np.abs(each.running_time_s - planned_s).max() <= 1
         assert (each.running_time_s.sum(axis=1) == planned_s.sum()).all()
+
+
+@pytest.mark.parametrize(("running_s", "least"), [(40, "allowed: >= "), (90000, "allowed: ")])
+def test_a_running_time_that_cannot_be_driven_names_its_train(running_s, least):
+    whole = repeat_timetables([part(6 * HOUR_S, 7 * HOUR_S)])
+    running = whole.forward.running_time_s.copy()
+    running[2, 1] = running_s
+    given = whole._replace(forward=whole.forward._replace(running_time_s=running))
+    where = f"mine: train of 06:04:00, forward, {operation().trips[1].section.name}: "
+    with pytest.raises(InputError, match=rf"{where}.*minimum running time.*: {running_s}\.0 s \({least}"):
+        timetable_energy(operation(), given, "mine")
 
 
 def test_a_headway_too_short_names_its_period():

@@ -136,8 +136,46 @@ def test_one_of_several_services_is_read(tmp_path):
     assert [each.period.size for each in found] == [half, 1]
     with pytest.raises(InputError, match=r"service: several services \(allowed: sunday, work\)"):
         read_gtfs(tmp_path, LINE)
-    with pytest.raises(InputError, match=r"no trip forward.*services are sunday, work"):
+    with pytest.raises(InputError, match=r"service: unknown service: 'monday' \(allowed: sunday, work\)"):
         read_gtfs(tmp_path, LINE, "monday")
+
+
+@pytest.mark.parametrize("name", ["feed", "feed.zip"])
+def test_a_trip_with_a_headway_departs_again_and_again(tmp_path, name):
+    timetable = write(tmp_path / "feed")
+    (tmp_path / "feed" / "frequencies.txt").write_text(
+        "trip_id,start_time,end_time,headway_secs,exact_times\r\n"
+        "F0002,06:00:00,06:15:00,300,0\r\nF0002,06:15:00,06:40:01,500,1\r\n"
+    )
+    if name.endswith("zip"):
+        with zipfile.ZipFile(tmp_path / name, "w") as archive:
+            for path in (tmp_path / "feed").iterdir():
+                archive.write(path, path.name)
+    found = read_gtfs(tmp_path / name, LINE)
+    starts_s = [21600 + each for each in (0, 300, 600, 900, 1400, 1900, 2400)]
+    assert found.forward.departure_s[:7, 0].tolist() == starts_s
+    rest_s = np.delete(timetable.forward.departure_s[:, 0], 1)
+    assert found.forward.departure_s[7:, 0].tolist() == rest_s.tolist(), "in place of its own departure"
+    steps_s = np.diff(timetable.forward.departure_s[1])
+    assert (np.diff(found.forward.departure_s[:7], axis=1) == steps_s).all()
+    np.testing.assert_array_equal(found.backward.departure_s, timetable.backward.departure_s)
+
+
+@pytest.mark.parametrize(
+    ("row", "words"),
+    [
+        ("F0001,06:00:00,07:00:00,0", "line 2, headway_secs: not a headway: '0'"),
+        ("F0001,06:00:00,07:00:00,x", "line 2, headway_secs: not a headway: 'x'"),
+        ("F0001,7 h,07:00:00,60", "line 2, start_time: not a time: '7 h'"),
+        ("F0001,07:00:00,06:00:00,60", "line 2, end_time: not after the start: '06:00:00'"),
+    ],
+)
+def test_a_bad_frequency_gets_one_line(tmp_path, row, words):
+    write(tmp_path)
+    text = f"trip_id,start_time,end_time,headway_secs\r\n{row}\r\n"
+    (tmp_path / "frequencies.txt").write_text(text)
+    with pytest.raises(InputError, match=f"frequencies.txt {words}"):
+        read_gtfs(tmp_path, LINE)
 
 
 def replace_row(row, **values):

@@ -117,10 +117,10 @@ def test_a_day_keeps_the_headway_between_any_two_trains(blocks):
     line = operation(blocks=blocks)
     least_s = max(each.headway_s for each in headways(line))
     near = day_of(line, ceil(least_s))
-    check_day(line, near, plans()[0])
+    check_day(line, near, plans())
     early = day_of(line, ceil(least_s) - 1)
     for refused in (
-        lambda: check_day(line, early, plans()[0]),
+        lambda: check_day(line, early, plans()),
         lambda: timetable_energy(line, early, "early"),
     ):
         with pytest.raises(InputError, match=rf"timetable: .*allowed: at least {ceil(least_s)} s later"):
@@ -131,9 +131,9 @@ def test_a_day_keeps_the_headway_between_any_two_trains(blocks):
     held = near._replace(forward=near.forward._replace(departure_s=late_s))
     ways = {each: f"{int(near.forward.departure_s[each, 0]) // 60:02d}:" for each in (2, 3)}
     with pytest.raises(InputError, match=rf"forward, those of 00:{ways[2]}.* and 00:{ways[3]}") as told:
-        check_day(line, held, plans()[0])
+        check_day(line, held, plans())
     least = max(headways(line), key=lambda each: each.headway_s)
     assert f"at station {least.bottleneck.name}" in str(told.value)
     # with as much more distance it does not
     late_s[3:] += 41.0
-    check_day(line, near._replace(forward=near.forward._replace(departure_s=late_s)), plans()[0])
+    check_day(line, near._replace(forward=near.forward._replace(departure_s=late_s)), plans())

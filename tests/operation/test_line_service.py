@@ -246,3 +246,10 @@ def test_a_timetable_below_the_minimum_running_time_names_its_section():
     trip = LineOperation(planless, TRAINSET, OperationOptions(zones=1, reserve=0.2)).trips[0]
     minimum_s = minimum_running_time(trip.section, TRAINSET)
     assert 1.2 * minimum_s <= trip.planned_s < 1.2 * minimum_s + 1
+
+
+def test_defaults_fit_the_line_and_what_is_given():
+    fitting = OperationOptions.fitting
+    assert fitting(short_line(2), {}) == {"zones": 1, "dwell_window_s": 10}
+    assert fitting(short_line(9), {"dwell_s": 5}) == {"zones": 4, "dwell_window_s": 5}
+    assert fitting(short_line(2), {"zones": 3, "dwell_window_s": 8, "dwell_s": 5}) == {}

@@ -101,6 +101,16 @@ def test_a_braking_train_is_squeezed_linearly_between_two_voltages():
     assert flow.offered_j == 2e6
 
 
+def test_no_voltage_is_above_that_at_which_nothing_is_returned():
+    # all trains brake and nobody draws: any voltage from 900 V on is balanced
+    network = feeding(substation(0), substation(2000.0))
+    trains = [(400.0 * k, -1e6 * k, bool(k % 2)) for k in range(1, 5)]
+    flow = solve_network(network, loads(*trains), 1)
+    assert flow.train_v.max() <= 900.0
+    assert flow.substation_v.max() <= 900.0
+    assert flow.returned_j == pytest.approx(0.0, abs=1.0)
+
+
 def test_an_inverter_returns_power_to_the_grid():
     with_one = feeding(substation(0, inverter_v=855.0, inverter_ohm=0.05), squeezed_above_v=890.0)
     flow = solve_network(with_one, loads((300.0, -5e5)), 1)

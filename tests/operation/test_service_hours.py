@@ -17,7 +17,7 @@ from metropilot.operation import (
     feed_line,
     operation_energy,
 )
-from metropilot.railway import load_feeding
+from metropilot.railway import Storage, load_feeding
 
 
 def operation(**given):
@@ -61,6 +61,17 @@ def test_an_hour_of_a_network_is_its_headways():
     )
     assert hours.energy_kwh(hours.repeat(timetable), [profiles]) == pytest.approx(
         feed_line(line, timetable, profiles, network()).energy_kwh, rel=1e-9
+    )
+
+
+def test_an_hour_with_storages_aboard_is_its_headways():
+    line, aboard = operation(), Storage(capacity_j=36e6, charge_above_v=855.0, discharge_below_v=845.0)
+    feeding = replace(network(), onboard=aboard)
+    hours, timetable, profiles = ServiceHours(line, feeding), line.plain_timetable(37.0), plans()["cruise"][0]
+    periodic = feed_line(line, timetable, profiles, feeding)
+    assert periodic.flow.onboard_w.max() > 1e5
+    assert hours.energy_kwh(hours.repeat(timetable), [profiles]) == pytest.approx(
+        periodic.energy_kwh, rel=1e-3
     )
 
 

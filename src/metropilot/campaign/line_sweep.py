@@ -320,7 +320,7 @@ def _compute(sweep: LineSweep, case: LineCase, options: OperationOptions) -> dic
     found: OperationEnergy | DayEnergy
     if isinstance(case.service, str):
         found = day_energy(operation, load_day(case.service), **more)
-        fed = None if network is None else feed_day(found.day, network)
+        fed = None if network is None else feed_day(found.day, network, found.links)
         counts = {"journeys": found.day.timetable.journeys}
     else:
         found = operation_energy(operation, floors=made.floors, feeding=network, sharp=sweep.sharp, **more)

@@ -34,6 +34,9 @@ EXAMPLES = {
     ),
 }
 OPERATION = "Operation"
+OF_DAY = ("headway_s",)
+OF_TIMETABLE = (*OF_DAY, "dwell_s", "dwell_window_s", "time_window_s")
+"""Options without effect where a day, or its timetable, is given."""
 
 
 @opt.with_run_options(only=("trainset", "load"), more=opt.options_of(OperationOptions, OPERATION))
@@ -126,9 +129,14 @@ def line_command(
 
     request = DayRequest(day, timetable, service, driver, runs, scatter, optimise, seed)
     check_day_options(request)
+    _check_given_options(context, request, sharp=sharp)
+    loaded = load_line(line)
+    given |= OperationOptions.fitting(
+        loaded, {key: given[key] for key in given if opt.is_typed(context, key)}
+    )
     typed = {"line": line, **given, **vars(request), "feeding": feeding}
     trainset = load_trainset(given.pop("trainset"), given.pop("load"))
-    operation = LineOperation(load_line(line), trainset, OperationOptions(**given))
+    operation = LineOperation(loaded, trainset, OperationOptions(**given))
     network = None if feeding is None else load_feeding(feeding)
     if network is not None:
         network.check_line(operation.line)
@@ -136,11 +144,8 @@ def line_command(
     if out is not None:
         check_writable(out, "day.json" if of_day else "line.json")
     if of_day:
-        if sharp:
-            raise InputError("a day has no sharp floor", field="sharp", allowed="with a headway")
-        if opt.is_typed(context, "headway_s"):
-            raise InputError("a day has its own headways", field="headway", allowed="without a day")
-        del typed["headway_s"]
+        for name in OF_DAY if timetable is None else OF_TIMETABLE:
+            del typed[name]
         return _run_day(operation, request, network, typed, out, as_json=as_json)
     with show_activity(f"planning {len(operation.trips)} trips and their timetable"):
         found = operation_energy(
@@ -168,6 +173,30 @@ def line_command(
     return 0
 
 
+def _check_given_options(
+    context: Any,  # noqa: ANN401 (typer.Context, as far as typer knows)
+    request: DayRequest,
+    *,
+    sharp: bool,
+) -> None:
+    """Refuse an option of what a day or a timetable has by itself.
+
+    Raises:
+        InputError: Such an option is typed.
+    """
+    if request.day is None and request.timetable is None:
+        return
+    if sharp:
+        raise InputError("a day has no sharp floor", field="sharp", allowed="with a headway")
+    for name in OF_DAY:
+        if opt.is_typed(context, name):
+            raise InputError("a day has its own headways", field=name, allowed="without a day")
+    for name in OF_TIMETABLE if request.timetable is not None else ():
+        if opt.is_typed(context, name):
+            words = "a timetable that is given has its own dwells and running times"
+            raise InputError(words, field=name, allowed="without --timetable")
+
+
 def _run_day(
     operation: LineOperation,
     request: DayRequest,
@@ -181,7 +210,7 @@ def _run_day(
 
     with show_activity(f"planning {len(operation.trips)} trips and the timetable of a day"):
         found = compute_day(operation, request)
-        fed = None if network is None else feed_day(found.day, network)
+        fed = None if network is None else feed_day(found.day, network, found.links)
     if out is not None:
         write_day(out, found, typed, fed)
     if as_json:
@@ -250,18 +279,16 @@ def _print_network(found: OperationEnergy, fed: FeedingEnergy) -> None:
     title = f"feeding {told['id']}: {told['energy_kwh']:.1f} kWh a round trip"
     columns = ("substation", "m", "kWh", "mean MW", "peak MW", "lowest V")
     console().print(table(title, columns, rows, right=range(1, 6)))
-    plain, found_for = (
-        [number(told[f"{name}_kwh"], 1) for name in names]
-        for names in (("cruise", "driving_only"), ("timetable_only", "energy"))
-    )
+    sought = "zones_timetable_kwh" in told
+    names = ("cruise", "driving_only"), ("timetable_only", "zones_timetable" if sought else "energy")
+    plain, found_for = ([number(told[f"{name}_kwh"], 1) for name in each] for each in names)
     console().print(
         f"Here cruise and brake takes {plain[0]} kWh with the plain timetable and {found_for[0]} with the "
         f"one found for the zones, optimal driving {plain[1]} and {found_for[1]}."
     )
-    if "zones_timetable_kwh" in told:
+    if sought:
         console().print(
-            f"The timetable is sought on the network; the best for the zones takes "
-            f"{told['zones_timetable_kwh']:.1f} kWh there."
+            f"Optimal driving takes {told['energy_kwh']:.1f} kWh with the timetable sought on the network."
         )
     stores = [*told.get("storages", ()), *([told["onboard_storage"]] if "onboard_storage" in told else [])]
     if stores:

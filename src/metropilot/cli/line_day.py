@@ -114,7 +114,7 @@ def print_day(found: DayEnergy, fed: FeedingEnergy | None) -> None:
         if not given:
             rows.append((driven.driver, "plain, mean offset", driven.plain_kwh))
         rows.append((driven.driver, "given" if given else "best found", driven.energy_kwh))
-    rows.append(("floor, all received", "any", found.floor_kwh))
+    rows.append(("floor, all received", "given running times" if given else "any", found.floor_kwh))
     cells = [
         (
             *words,

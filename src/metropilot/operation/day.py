@@ -6,7 +6,7 @@ its journeys take departures, running times and plans. Power is summed hour by h
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -111,28 +111,38 @@ class PeriodicPart(NamedTuple):
     plan: Int[ndarray, " trips"]
 
 
-def repeat_timetables(parts: Sequence[PeriodicPart]) -> DayTimetable:
+def repeat_timetables(
+    parts: Sequence[PeriodicPart], least_s: Callable[[int, int, int], int] = lambda *_: 0
+) -> DayTimetable:
     """Timetable of a day whose periods repeat their own.
 
-    A headway after the last departure of a period comes the next one, in whatever period that is. Forward
-    trains so begin each period; backward ones keep the offset to them, and at its beginning no less than the
-    shorter headway to the train before.
+    A headway after the last departure of a period comes the next one, in whatever period that is, and later
+    where protection asks for more. Forward trains so begin each period; backward ones keep the offset to
+    them, and at its beginning no less than the shorter headway to the train before.
 
     Args:
         parts: Periods in their order.
+        least_s: Least time from the last departure of a period to the first of a later one by their numbers
+            and the direction, 0 forward and 1 backward.
     """
     count = parts[0].plan.size // 2
     starts: tuple[list[tuple[int, int]], list[tuple[int, int]]] = ([], [])
     for index, part in enumerate(parts):
         before = parts[index - 1] if index and parts[index - 1].to_s == part.from_s else None
         offset_s = round(float(part.timetable.departure_s[count] - part.timetable.departure_s[0]))
-        leads_s = [part.from_s, part.from_s + offset_s % part.headway_s]
-        if before is not None and starts[0]:
-            leads_s[0] = max(starts[0][-1][0] + before.headway_s, part.from_s)
-            leads_s[1] = part.from_s + (leads_s[0] + offset_s - part.from_s) % part.headway_s
-            if starts[1]:
-                least_s = starts[1][-1][0] + min(before.headway_s, part.headway_s)
-                leads_s[1] += -min(0, (leads_s[1] - least_s) // part.headway_s) * part.headway_s
+        usual_s = (0, 0) if before is None else (before.headway_s, min(before.headway_s, part.headway_s))
+        first_s = [
+            max(
+                [
+                    part.from_s,
+                    *(last_s + max(usual_s[way], least_s(of, index, way)) for last_s, of in own[-1:]),
+                ]
+            )
+            for way, own in enumerate(starts)
+        ]
+        leads_s = [first_s[0], part.from_s + (first_s[0] + offset_s - part.from_s) % part.headway_s]
+        # a whole number of headways later, so that the offset stays
+        leads_s[1] += -min(0, (leads_s[1] - first_s[1]) // part.headway_s) * part.headway_s
         for own, lead_s in zip(starts, leads_s, strict=True):
             own += [(start_s, index) for start_s in range(lead_s, part.to_s, part.headway_s)]
     journeys = []
@@ -191,9 +201,10 @@ def link_trains(timetable: DayTimetable, turnround_s: int, longest_wait_s: int) 
     depot: list[tuple[float, int]] = []
     fleet = pull_outs = 0
     for start_s, way, j in departures:
+        for waiting in ready:
+            while waiting and start_s - waiting[0][0] > longest_wait_s:
+                depot.append(waiting.pop(0))
         waiting = ready[way]
-        while waiting and start_s - waiting[0][0] > longest_wait_s:
-            depot.append(waiting.pop(0))
         if waiting and waiting[0][0] <= start_s:
             number = waiting.pop(0)[1]
         else:
@@ -337,10 +348,13 @@ class LineDay:
             through=1.0 - self.operation.options.transfer_loss,
         )
 
-    def loads(self) -> tuple[TrainLoads, int]:
+    def loads(self, links: TrainLinks | None = None) -> tuple[TrainLoads, int]:
         """Places and powers of all trains second by second, and the number of seconds.
 
         Seconds count from the first departure. Departures count as whole seconds.
+
+        Args:
+            links: Trains, each with one storage aboard for all its journeys; None: one for each journey.
         """
         rows: list[TrainLoads] = []
         first_s = int(np.floor(self.timetable.span_s[0]))
@@ -355,8 +369,12 @@ class LineDay:
                 journeys = np.flatnonzero(index.ravel() == number)
                 part = self._pattern_loads(way, pattern, whole_s[journeys, 0] - first_s)
                 train = journeys[part.train]
-                rows.append(part._replace(train=train, journey=2 * train + way))
+                aboard = 2 * train + way if links is None else links.train[way][train]
+                rows.append(part._replace(train=train, journey=aboard))
         loads = TrainLoads(*(np.concatenate(each) for each in zip(*rows, strict=True)))
+        if links is not None:
+            # a storage aboard goes through the journeys of its train one after the other
+            loads = loads.part(np.argsort(loads.second, kind="stable"))
         return loads, int(loads.second.max()) + 1
 
     def _pattern_loads(self, way: int, pattern: ndarray, starts_s: ndarray) -> TrainLoads:
@@ -392,18 +410,19 @@ def _cut(
     return low - begin_s, high - low, power_w[:, :1] + share * (power_w[:, 1:] - power_w[:, :1])
 
 
-def feed_day(day: LineDay, feeding: Feeding) -> FeedingEnergy:
-    """Feed all trains of a day by a DC network.
+def feed_day(day: LineDay, feeding: Feeding, links: TrainLinks) -> FeedingEnergy:
+    """Feed all trains of a day by a DC network, the same day after day: storages end as they begin.
 
     Args:
         day: Day of a line.
         feeding: Network.
+        links: Its trains, which keep their storage from journey to journey.
 
     Raises:
         InputError: A substation off the line.
         Infeasible: The network cannot carry the load.
     """
     feeding.check_line(day.operation.line)
-    flow = solve_network(feeding, *day.loads())
+    flow = solve_network(feeding, *day.loads(links), periodic=True)
     flow.check_served()
     return FeedingEnergy(feeding, flow)

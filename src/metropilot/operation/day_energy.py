@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from metropilot.errors import Infeasible, rename_fields
+from metropilot.errors import Infeasible, InputError, rename_fields
 from metropilot.operation.comparison import ComparedEnergy
 from metropilot.operation.day import (
     HOUR_S,
@@ -23,21 +23,25 @@ from metropilot.operation.day import (
     repeat_timetables,
 )
 from metropilot.operation.feeding import FeedingEnergy
-from metropilot.operation.headway import check_day, check_headway
-from metropilot.operation.line_service import LineOperation, Profiles, Timetable
+from metropilot.operation.headway import PeriodLeads, check_day, check_headway
+from metropilot.operation.line_service import Driving, LineOperation, Profiles, Timetable
+from metropilot.operation.power import PowerProfile
 from metropilot.operation.report import plan_trips
 from metropilot.operation.search import MOVES, best_offset, choose_plans, find_timetable
 from metropilot.operation.service_hours import AS_PLANNED, PHASES, ServiceScatter, scatter_service
 from metropilot.railway import LONGEST_WAIT_S, Period, ServiceDay
 from metropilot.units import J_PER_KWH, format_clock
 
+DRIVINGS: tuple[Driving, ...] = "optimal", "cruise"
 RESTARTS = 3
 """Starts of each search: a day has several headways."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class DayEnergy(ComparedEnergy):
-    """Energy of all journeys of a day; its floor is that of all received at the same journey times.
+    """Energy of all journeys of a day; its floor is that of all received at the same running times.
+
+    Where the timetables compared have other numbers of journeys, their energy is that of as many.
 
     Attributes:
         name: Name of the day.
@@ -87,16 +91,21 @@ def lay_out_day(
     day: ServiceDay,
     plans: Sequence[Profiles],
     *,
+    others: Sequence[Profiles] = (),
     searched: bool = False,
     seed: int = 0,
     moves: int = MOVES,
 ) -> DayTimetable:
     """Find the timetable of a day: for each headway and dwell that of least energy, and its plans.
 
+    A period begins later where its first train would disturb the last one of the period before, or be
+    disturbed by it.
+
     Args:
         operation: Line in operation.
         day: Periods.
         plans: Profiles to choose from.
+        others: Profiles with which periods must follow each other as well.
         searched: Search dwells and running times too; else only the offset of the directions.
         seed: Seed of the search.
         moves: Moves that it tries from each start.
@@ -122,11 +131,20 @@ def lay_out_day(
             found[key] = timetable, numbers
         timetable, numbers = found[key]
         parts.append(PeriodicPart(period.from_s, period.to_s, period.headway_s, timetable, np.array(numbers)))
-    return repeat_timetables(parts)
+    return repeat_timetables(parts, PeriodLeads(operation, parts, plans, others))
 
 
-def plain_days(operation: LineOperation, day: ServiceDay, phases: int = PHASES) -> list[DayTimetable]:
-    """Timetables at planned running times and dwells, by equal steps of the offset of the directions."""
+def plain_days(
+    operation: LineOperation, day: ServiceDay, drivings: Sequence[Profiles], phases: int = PHASES
+) -> list[DayTimetable]:
+    """Timetables at planned running times and dwells, by equal steps of the offset of the directions.
+
+    Args:
+        operation: Line in operation.
+        day: Periods.
+        drivings: Profiles with all of which one period follows the other.
+        phases: Number of steps.
+    """
     days = []
     for phase in range(phases):
         parts = [
@@ -139,7 +157,7 @@ def plain_days(operation: LineOperation, day: ServiceDay, phases: int = PHASES) 
             )
             for period, periodic in _periodic(operation, day)
         ]
-        days.append(repeat_timetables(parts))
+        days.append(repeat_timetables(parts, PeriodLeads(operation, parts, drivings[:1], drivings[1:])))
     return days
 
 
@@ -154,9 +172,9 @@ def day_floor_j(
 
     Args:
         operation: Line in operation.
-        timetable: Timetable; each journey keeps the time that it takes from end to end.
+        timetable: Timetable; each journey keeps its running times, and its sum of dwells.
         profiles: Optimal profiles at its running times.
-        windows: True for journeys that may choose among these running times, at their planned sum.
+        windows: True for journeys that may choose among those of the profiles, at their planned sum.
     """
     total_j = 0.0
     for way, each in enumerate(timetable):
@@ -196,9 +214,13 @@ def day_energy(
         Infeasible: More trains are needed than there are.
     """
     plans = plans or plan_trips(operation, windows=searched)
-    plain = plain_days(operation, day)
+    # one timetable whatever the driving, which can be read again from its feed
+    drivings = [plans["optimal"][0], *plans["cruise"]]
+    plain = plain_days(operation, day, drivings)
     best, cruise = (
-        lay_out_day(operation, day, plans[driving], searched=searched, seed=seed, moves=moves)
+        lay_out_day(
+            operation, day, plans[driving], others=drivings, searched=searched, seed=seed, moves=moves
+        )
         for driving in ("optimal", "cruise")
     )
     links = link_trains(best, operation.options.turnround_s, day.longest_wait_s)
@@ -211,8 +233,8 @@ def day_energy(
             allowed=f">= {links.fleet}",
         )
     found = LineDay(operation, best, plans["optimal"])
-    mean = {name: np.mean([_kwh(operation, each, plans[name]) for each in plain]) for name in plans}
-    power, kwh = found.power(), partial(_kwh, operation)
+    kwh, power = partial(_kwh, operation, best.journeys), found.power()
+    mean = {name: np.mean([kwh(each, plans[name]) for each in plain]) for name in plans}
     return DayEnergy(
         name=day.name,
         day=found,
@@ -222,7 +244,7 @@ def day_energy(
         searched=searched,
         cruise_kwh=float(mean["cruise"]),
         driving_only_kwh=float(mean["optimal"]),
-        timetable_only_kwh=_kwh(operation, cruise, plans["cruise"]),
+        timetable_only_kwh=kwh(cruise, plans["cruise"]),
         floor_kwh=day_floor_j(operation, best, plans["optimal"][0], windows=searched) / J_PER_KWH,
         period_names=tuple(each.name for each in day.periods),
         **scatter_service(scatter, plain, best, plans["optimal"], kwh),
@@ -245,16 +267,13 @@ def timetable_energy(
         scatter: What does not go as planned, reported besides.
 
     Raises:
-        Infeasible: A running time is below the minimum.
-        InputError: A train disturbs the next one; names both and the section or station.
+        InputError: A running time is below the minimum or too long, or a train disturbs the next one; names
+            the trains by their departures, and the section or station.
     """
-    times_s = [
-        sorted({int(s) for s in running_s}) for each in timetable for running_s in each.running_time_s.T
-    ]
-    optimal, cruise = (operation.profiles(driving, times_s=times_s) for driving in ("optimal", "cruise"))
+    optimal, cruise = (_given_profiles(operation, timetable, driving, name) for driving in DRIVINGS)
     for profiles in (optimal, cruise):
-        check_day(operation, timetable, profiles)
-    found, kwh = LineDay(operation, timetable, [optimal]), partial(_kwh, operation)
+        check_day(operation, timetable, [profiles])
+    found, kwh = LineDay(operation, timetable, [optimal]), partial(_kwh, operation, timetable.journeys)
     power, cruise_kwh = found.power(), kwh(timetable, [cruise])
     balance = found.energy(power)
     return DayEnergy(
@@ -272,5 +291,35 @@ def timetable_energy(
     )
 
 
-def _kwh(operation: LineOperation, timetable: DayTimetable, plans: Sequence[Profiles]) -> float:
-    return float(LineDay(operation, timetable, plans).power().supplied_w.sum()) * MINUTE_S / J_PER_KWH
+def _given_profiles(
+    operation: LineOperation, timetable: DayTimetable, driving: Driving, name: str
+) -> list[dict[int, PowerProfile]]:
+    """Profiles of every trip at the running times of a timetable.
+
+    Raises:
+        InputError: A running time that cannot be driven; names the train and the section.
+    """
+    found: list[dict[int, PowerProfile]] = []
+    for trip in operation.trips:
+        each, k = timetable[trip.backward], len(found) % operation.count
+        found.append({})
+        for running_s in np.unique(each.running_time_s[:, k]).tolist():
+            try:
+                found[-1][running_s] = operation.drive(trip, running_s, driving)
+            except InputError as error:
+                j = int(np.argmax(each.running_time_s[:, k] == running_s))
+                clock, way = (
+                    format_clock(float(each.departure_s[j, 0])),
+                    ("forward", "backward")[trip.backward],
+                )
+                where = f"train of {clock}, {way}, {trip.section.name}"
+                raise error.at(file=name, field=where) from error
+    return found
+
+
+def _kwh(
+    operation: LineOperation, journeys: int, timetable: DayTimetable, plans: Sequence[Profiles]
+) -> float:
+    """Energy of a day, for so many journeys."""
+    day_j = float(LineDay(operation, timetable, plans).power().supplied_w.sum()) * MINUTE_S
+    return day_j / J_PER_KWH * journeys / timetable.journeys

@@ -36,7 +36,9 @@ NEEDED = {
     "stops": ("stop_id",),
     "trips": ("trip_id", "service_id"),
     "stop_times": ("trip_id", "arrival_time", "departure_time", "stop_id", "stop_sequence"),
+    "frequencies": ("trip_id", "start_time", "end_time", "headway_secs"),
 }
+OPTIONAL = "frequencies"
 
 
 def write_gtfs(path: Path, line: Line, timetable: DayTimetable, links: TrainLinks, name: str = "") -> None:
@@ -155,7 +157,8 @@ def read_gtfs(path: Path, line: Line, service: str | None = None) -> DayTimetabl
     """Read the timetable of a day from a GTFS feed: the trips that stop at all stations of a line.
 
     Stops are stations by their id, code or name, or by those of their parent. Trips that stop at no more
-    than one of them are those of other lines.
+    than one of them are those of other lines. A trip of ``frequencies.txt`` departs every headway from its
+    start until before its end.
 
     Args:
         path: A folder, or a file ending in ``.zip``.
@@ -168,9 +171,42 @@ def read_gtfs(path: Path, line: Line, service: str | None = None) -> DayTimetabl
     tables = {stem: _read_table(path, stem) for stem in NEEDED}
     stations = _stations_of_stops(line, tables["stops"])
     services = {row["trip_id"]: row["service_id"] for row in tables["trips"]}
+    known = ", ".join(sorted(set(services.values())))
+    if service is not None and service not in services.values():
+        raise InputError("unknown service", file=path, field="service", value=service, allowed=known)
+    starts_s = _frequent_starts(path, tables["frequencies"])
+    mine, strange = _calls(path, tables["stop_times"], stations, services, service)
+    found = sorted({services[trip] for trip in mine})
+    if len(found) > 1:
+        raise InputError("several services", file=path, field="service", allowed=", ".join(found))
+    ways: tuple[list[tuple[list[int], list[int]]], ...] = ([], [])
+    for trip, each in mine.items():
+        if trip in strange:
+            raise _bad(
+                path, f"trip {trip}", "stop_id", "stop off the line", strange[trip], f"stations of {line.id}"
+            )
+        way, (departure_s, arrival_s) = _journey_times(path, line, trip, each)
+        for start_s in starts_s.get(trip, departure_s[:1]):
+            later_s = start_s - departure_s[0]
+            ways[way].append(([s + later_s for s in departure_s], [s + later_s for s in arrival_s]))
+    for way, each in zip(("forward", "backward"), ways, strict=True):
+        if not each:
+            words = f"trips of both directions; services are {known}"
+            raise InputError(f"no trip {way} on {line.id}", file=path, allowed=words)
+    return DayTimetable(*(_journeys(each) for each in ways))
+
+
+def _calls(
+    path: Path,
+    rows: Sequence[Mapping[str, str]],
+    stations: Mapping[str, Station],
+    services: Mapping[str, str],
+    service: str | None,
+) -> tuple[dict[str, list[_Call]], dict[str, str]]:
+    """Stops in their order of the trips with several at stations, and a stop off the line of each trip."""
     calls: dict[str, list[_Call]] = {}
     strange: dict[str, str] = {}
-    for number, row in enumerate(tables["stop_times"], start=2):
+    for number, row in enumerate(rows, start=2):
         trip, station = row["trip_id"], stations.get(row["stop_id"])
         if trip not in services:
             raise _bad(
@@ -184,23 +220,25 @@ def read_gtfs(path: Path, line: Line, service: str | None = None) -> DayTimetabl
         calls.setdefault(trip, []).append(_call(path, number, row, station))
     by_number = attrgetter("sequence")
     mine = {trip: sorted(each, key=by_number) for trip, each in calls.items() if len(each) > 1}
-    found = sorted({services[trip] for trip in mine})
-    if len(found) > 1:
-        raise InputError("several services", file=path, field="service", allowed=", ".join(found))
-    ways: tuple[list[tuple[list[int], list[int]]], ...] = ([], [])
-    for trip, each in mine.items():
-        if trip in strange:
-            raise _bad(
-                path, f"trip {trip}", "stop_id", "stop off the line", strange[trip], f"stations of {line.id}"
-            )
-        way, times = _journey_times(path, line, trip, each)
-        ways[way].append(times)
-    for way, each in zip(("forward", "backward"), ways, strict=True):
-        if not each:
-            known = sorted(set(services.values()))
-            words = f"trips of both directions; services are {', '.join(known)}"
-            raise InputError(f"no trip {way} on {line.id}", file=path, allowed=words)
-    return DayTimetable(*(_journeys(each) for each in ways))
+    return mine, strange
+
+
+def _frequent_starts(path: Path, rows: Sequence[Mapping[str, str]]) -> dict[str, list[int]]:
+    """First departures of the trips that run every headway."""
+    found: dict[str, list[int]] = {}
+    for number, row in enumerate(rows, start=2):
+        where = f"frequencies.txt line {number}"
+        from_s, to_s = (
+            parse_clock(row[name], file=path, field=f"{where}, {name}") for name in ("start_time", "end_time")
+        )
+        headway = row["headway_secs"]
+        if not (headway.isascii() and headway.isdigit() and int(headway)):
+            raise _bad(path, where, "headway_secs", "not a headway", headway, "whole seconds, at least 1")
+        if to_s <= from_s:
+            allowed = f"after {row['start_time']}"
+            raise _bad(path, where, "end_time", "not after the start", row["end_time"], allowed)
+        found.setdefault(row["trip_id"], []).extend(range(from_s, to_s, int(headway)))
+    return found
 
 
 def _journeys(times: list[tuple[list[int], list[int]]]) -> Journeys:
@@ -289,8 +327,10 @@ def _stations_of_stops(line: Line, stops: Sequence[Mapping[str, str]]) -> dict[s
 
 
 def _read_table(path: Path, stem: str) -> list[dict[str, str]]:
-    name = f"{stem}.txt"
-    text = _read_zip(path, name) if path.suffix.lower() == ".zip" else read_text(path / name, "timetable")
+    name, zipped = f"{stem}.txt", path.suffix.lower() == ".zip"
+    if stem == OPTIONAL and not (_is_zipped(path, name) if zipped else (path / name).exists()):
+        return []
+    text = _read_zip(path, name) if zipped else read_text(path / name, "timetable")
     reader = csv.DictReader(io.StringIO(text.removeprefix("\ufeff")), skipinitialspace=True)
     rows = []
     try:
@@ -307,6 +347,11 @@ def _read_table(path: Path, stem: str) -> list[dict[str, str]]:
     except csv.Error as error:
         raise InputError(f"not CSV ({error})", file=path, field=name, allowed="a GTFS table") from None
     return rows
+
+
+def _is_zipped(path: Path, name: str) -> bool:
+    with zipfile.ZipFile(path) as archive:
+        return name in archive.namelist()
 
 
 def _read_zip(path: Path, name: str) -> str:

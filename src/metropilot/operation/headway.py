@@ -24,7 +24,7 @@ from metropilot.convoy import (
     trainset_behind,
 )
 from metropilot.errors import InputError
-from metropilot.operation.day import DayTimetable
+from metropilot.operation.day import DayTimetable, PeriodicPart
 from metropilot.operation.line_service import LineOperation, Profiles, Timetable
 from metropilot.operation.power import PowerProfile
 from metropilot.units import format_clock
@@ -167,13 +167,13 @@ def check_headway(operation: LineOperation, timetable: Timetable, profiles: Prof
         )
 
 
-def check_day(operation: LineOperation, timetable: DayTimetable, profiles: Profiles) -> None:
+def check_day(operation: LineOperation, timetable: DayTimetable, plans: Sequence[Profiles]) -> None:
     """Refuse a day on which a train disturbs the next one of its direction.
 
     Args:
         operation: Line in operation.
         timetable: Timetable of the day, journeys in the order of their departures.
-        profiles: Its trips.
+        plans: Powers of its trips, those that the timetable names by number.
 
     Raises:
         InputError: Naming the two trains by their departures, the direction and the section or station.
@@ -182,15 +182,86 @@ def check_day(operation: LineOperation, timetable: DayTimetable, profiles: Profi
     for way, each in enumerate(timetable):
         known: dict[bytes, BlockingTimes] = {}
         before, left_s = None, 0.0
-        for departure_s, running_s in zip(each.departure_s, each.running_time_s, strict=True):
-            key = (departure_s - departure_s[0]).tobytes() + running_s.tobytes()
+        for departure_s, running_s, plan in zip(*each[:3], strict=True):
+            key = (departure_s - departure_s[0]).tobytes() + running_s.tobytes() + plan.tobytes()
             if key not in known:
-                driven = [profiles[count * way + i][int(s)] for i, s in enumerate(running_s)]
+                driven = [
+                    plans[p][count * way + i][int(s)]
+                    for i, (p, s) in enumerate(zip(plan, running_s, strict=True))
+                ]
                 known[key] = motions.blocking(count * way, departure_s, driven)
             own, leaves_s = known[key], float(departure_s[0])
             if before is not None:
                 _check_pair(operation, before, own, (left_s, leaves_s), backward=bool(way))
             before, left_s = own, leaves_s
+
+
+class PeriodLeads:
+    """Least time from a journey of a period to the next one, where that is of another period.
+
+    A train that dwells less or runs faster than the one ahead of it comes nearer from station to station.
+
+    Args:
+        operation: Line in operation.
+        parts: Periods.
+        plans: Powers of the trips, those that the periods name by number.
+        others: Further powers with which no train may disturb the next one either.
+    """
+
+    def __init__(
+        self,
+        operation: LineOperation,
+        parts: Sequence[PeriodicPart],
+        plans: Sequence[Profiles],
+        others: Sequence[Profiles] = (),
+    ) -> None:
+        self._operation, self._parts, self._plans, self._others = operation, parts, plans, others
+        self._motions = TripMotions(operation)
+        self._known: dict[tuple[int, int], list[BlockingTimes]] = {}
+
+    def __call__(self, ahead: int, behind: int, way: int) -> int:
+        """Whole seconds from the last departure of a period to the first of a later one.
+
+        Args:
+            ahead: Number of the earlier period.
+            behind: Number of the later one.
+            way: 0 forward, 1 backward.
+        """
+        both = zip(self._blocking(ahead, way), self._blocking(behind, way), strict=True)
+        leads_s = [_least_leads_s(self._operation, *each).max() for each in both]
+        return math.ceil(max(leads_s) - ROUNDING_S)
+
+    def _blocking(self, period: int, way: int) -> list[BlockingTimes]:
+        """Blocking times of a journey of a period, as it is planned and by all other powers."""
+        if (period, way) not in self._known:
+            part, count = self._parts[period], self._operation.count
+            of = range(count * way, count * (way + 1))
+            departure_s = part.timetable.departure_s[of.start : of.stop]
+            planned = [self._plans[int(part.plan[k])][k] for k in of]
+            self._known[period, way] = [
+                self._motions.blocking(
+                    of.start,
+                    departure_s,
+                    [
+                        times[int(part.timetable.running_time_s[k])]
+                        for k, times in zip(of, driven, strict=True)
+                    ],
+                )
+                for driven in (planned, *([each[k] for k in of] for each in self._others))
+            ]
+        return self._known[period, way]
+
+
+def _least_leads_s(
+    operation: LineOperation, ahead: BlockingTimes, behind: BlockingTimes
+) -> Float[ndarray, " places"]:
+    """Least times between the departures of two journeys, of every place that the one ahead blocks."""
+    if operation.options.blocks is None:
+        asked_s = np.interp(ahead.from_m, behind.from_m, behind.from_s)
+    else:
+        # overlaps may differ: the block in which this one begins
+        asked_s = behind.from_s[np.searchsorted(behind.from_m, ahead.from_m, side="right") - 1]
+    return ahead.to_s - asked_s
 
 
 def _check_pair(
@@ -205,12 +276,7 @@ def _check_pair(
     lead_s = leaves_s[1] - leaves_s[0]
     if lead_s >= float(ahead.to_s[-1] - behind.from_s[0]):
         return
-    if operation.options.blocks is None:
-        asked_s = np.interp(ahead.from_m, behind.from_m, behind.from_s)
-    else:
-        # overlaps may differ: the block in which this one begins
-        asked_s = behind.from_s[np.searchsorted(behind.from_m, ahead.from_m, side="right") - 1]
-    held_s = ahead.to_s - asked_s
+    held_s = _least_leads_s(operation, ahead, behind)
     worst = int(np.argmax(held_s))
     if lead_s >= held_s[worst] - ROUNDING_S:
         return

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy import ndarray
@@ -162,6 +162,20 @@ class OperationOptions:
                 unit="s",
                 allowed=f"at most the dwell, {self.dwell_s:g} s",
             )
+
+    @classmethod
+    def fitting(cls, line: Line, given: Mapping[str, Any]) -> dict[str, Any]:
+        """Give defaults that fit a line and the options given, in place of those that may not.
+
+        Args:
+            line: Line, which has no more feeding zones than sections.
+            given: Options given, by the names of the fields; a dwell window is no longer than the dwell.
+        """
+        usual = {
+            "zones": min(cls.zones, len(line.stations) - 1),
+            "dwell_window_s": min(cls.dwell_window_s, given.get("dwell_s", cls.dwell_s)),
+        }
+        return {name: value for name, value in usual.items() if name not in given}
 
 
 class Trip(NamedTuple):

@@ -1,8 +1,9 @@
 """Voltages and currents of a DC network with moving trains, solved for many seconds at once.
 
 Along the line all nodes of a second, substations and trains, stand in the order of their places. At every
-node both tracks have a voltage, equal at a substation. That makes the equations of a second block
-tridiagonal with blocks of two, and one elimination along the line serves all seconds together.
+node both tracks have a voltage, equal at a substation and at a storage beside the track. That makes the
+equations of a second block tridiagonal with blocks of two, and one elimination along the line serves all
+seconds together.
 
 Conductor rail and running rails are one loop resistance. That is exact without leakage to earth, as both
 carry the same current; the potential of the running rails against earth is not modelled.
@@ -231,7 +232,7 @@ class _Nodes(NamedTuple):
     Attributes:
         power_w: Power that a train wants; 0 elsewhere.
         backward: True where the train is on the track of the backward direction.
-        tied: True at a substation.
+        tied: True at a substation, and at a storage beside the track.
         rectifier_s: Conductance of its rectifier; 0 elsewhere.
         inverter_s: Conductance of its inverter; 0 elsewhere.
         no_load_v: No-load voltage of the rectifier.
@@ -395,7 +396,8 @@ def _solve(feeding: Feeding, nodes: _Nodes) -> tuple[ndarray, ndarray, int]:
             left, some = left[open_], some.part(open_)
             at_v, slope_s, residual_a = at_v[:, :, open_], slope_s[:, open_], residual_a[:, :, open_]
         if not left.size:
-            return voltage_v, left, step_count
+            # where all that is returned is squeezed no current flows: any voltage above is as balanced
+            return np.minimum(voltage_v, feeding.max_v), left, step_count
         step_v, definite = _newton_step(some, slope_s, residual_a)
         if not definite.all():
             loose = ~definite

@@ -18,12 +18,13 @@ from metropilot.operation.day import (
     LineDay,
     PeriodicPart,
     feed_day,
+    link_trains,
     repeat_timetables,
 )
 from metropilot.operation.feeding import feed_line
 from metropilot.operation.line_service import LineOperation, Profiles, Timetable
 from metropilot.operation.trip_drives import TripDrives
-from metropilot.railway import Feeding
+from metropilot.railway import LONGEST_WAIT_S, Feeding
 from metropilot.units import J_PER_KWH
 
 PHASES = 4
@@ -116,7 +117,8 @@ class ServiceHours:
             power = day.power()
             hour_kwh = float(power.hourly_kwh[(self._hour_s - power.first_s) // HOUR_S])
         else:
-            flow = feed_day(day, self.feeding).flow
+            links = link_trains(day.timetable, self.operation.options.turnround_s, LONGEST_WAIT_S)
+            flow = feed_day(day, self.feeding, links).flow
             first = self._hour_s - math.floor(day.timetable.span_s[0])
             net_w = (flow.rectifier_w - flow.inverter_w).sum(axis=1)[first : first + HOUR_S]
             hour_kwh = float(net_w.sum()) / J_PER_KWH

@@ -30,6 +30,10 @@ def stored_j(
 def periodic_start_j(storage: Storage, power_w: Float[ndarray, " seconds"]) -> float:
     """Energy at the beginning of a period that is there again at its end."""
     low, high = 0.0, storage.capacity_j
+    ends_j = [float(stored_j(storage, power_w, begins_j)[-1]) for begins_j in (low, high)]
+    if ends_j[0] == ends_j[1]:
+        # full or empty at some time, after which the beginning no longer counts
+        return ends_j[0]
     for _ in range(BISECTIONS):
         middle = 0.5 * (low + high)
         # the end rises with the beginning, but never by more

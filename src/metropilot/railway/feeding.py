@@ -91,7 +91,7 @@ class Feeding(CatalogueRecord):
     """DC feeding of one line.
 
     Each direction has a conductor rail and running rails of its own, both tied to those of the other
-    direction at substations only.
+    direction at substations and at storages beside the track, nowhere else.
 
     Attributes:
         id: Catalogue id or file stem.

@@ -481,7 +481,7 @@ class Service:
         """
         self.check_room()
         if isinstance(body, OperationIn):
-            body = self._with_zones(body)
+            body = self._fitted(body)
         kind = next(name for name, row in JOB_KINDS.items() if row.body is type(body))
         JOB_KINDS[kind].check(self, body)
         work = self._work(kind, body, None)
@@ -489,12 +489,10 @@ class Service:
         self._schedule(job, kind, *work)
         return job
 
-    def _with_zones(self, body: Operated) -> Operated:
-        """A request with as many feeding zones as its line has sections, where it leaves that open."""
-        if "zones" in body.model_fields_set:
-            return body
-        sections = len(load_line(self.path("line", body.line)).stations) - 1
-        return body.model_copy(update={"zones": min(body.model_dump()["zones"], sections)})
+    def _fitted(self, body: Operated) -> Operated:
+        """A request whose options fit its line and each other, where it leaves them open."""
+        given, line = body.model_dump(exclude_unset=True), load_line(self.path("line", body.line))
+        return body.model_copy(update=OperationOptions.fitting(line, given))
 
     def stop(self, job: str) -> None:
         """Stop a job: a learning run at its next checkpoint, any other job at once."""
@@ -587,7 +585,7 @@ class Service:
         """
         self.check_limits(jobs=1)
         if isinstance(body, RunningLineIn):
-            body = self._with_zones(body)
+            body = self._fitted(body)
         await self.stop_abandoned()
         drives, request = self._live_request(body)
         if len(self.queue) >= self.settings.queued_jobs:

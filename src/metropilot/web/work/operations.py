@@ -99,7 +99,7 @@ def line_job(root: str, job: str, request: OperationRequest) -> dict[str, Any]:
     else:
         of_day = day_energy(operation, day, **search)
         store.update(job, progress=0.7, words="adding up the day")
-        fed = feeding and feed_day(of_day.day, feeding)
+        fed = feeding and feed_day(of_day.day, feeding, of_day.links)
         result = _day_out(of_day, of_day.as_dict(fed))
         store.update(job, result=result, progress=0.8, words="drawing")
         options = asdict(request) | asdict(request.options)
