@@ -149,7 +149,7 @@ def test_storages_give_a_day_no_energy_that_they_did_not_take():
     feeding = load_feeding("yizhuang")
     aboard = Storage(capacity_j=72e6, power_w=8e5, charge_above_v=855.0, discharge_below_v=845.0)
     bare = replace(feeding, substations=feeding.substations[:4])
-    line = LineDay(operation(), repeat_timetables([part(0, 3000)]), [profiles()])
+    line = LineDay(operation(), repeat_timetables([part(0, 900)]), [profiles()])
     links = link_trains(line.timetable, 120, 900)
     fed, without = (feed_day(line, each, links) for each in (replace(bare, onboard=aboard), bare))
     assert abs(fed.flow.stored_j) < 10.0
