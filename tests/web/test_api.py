@@ -177,7 +177,7 @@ def test_a_day_of_a_line_gives_a_gtfs_feed(server):
         ({"load": "AW9"}, "load"),
         ({"headway_s": 5}, "headway_s"),
         ({"headway_s": 180.5}, "headway_s"),
-        ({"dwell_s": 5}, "dwell_window_s"),
+        ({"dwell_s": 5, "dwell_window_s": 10}, "dwell_window_s"),
         ({"zones": 14}, "zones"),
         ({"day": "none"}, "day"),
         ({"day": "../days/yizhuang"}, "day"),
