@@ -181,6 +181,9 @@ def test_the_stated_minimum_is_enough(metropilot):
         (("--mass-factors", "1,9"), "--mass-factors: "),
         (("--uncouple-at", "-1"), "--uncouple-at: "),
         (("--head-emergency", "-1"), "--head-emergency: "),
+        (("--apart", "30"), "--apart: needs a place of uncoupling (allowed: --uncouple-at M)"),
+        (("--uncouple-at", "900", "--apart", "3"), "--apart: no wider than the gap while coupled"),
+        (("--behind", "dkz32:AW9"), "--behind: unknown load: 'dkz32:AW9' (allowed: AW0, AW2, AW3)"),
         (("--time", "1e9"), "minimum running time of the convoy"),
     ],
 )
@@ -234,6 +237,13 @@ def test_a_complaint_about_a_convoy_file_names_file_and_key(metropilot, tmp_path
     assert (said.code, said.err.count("\n")) == (2, 1)
     assert said.err.startswith(f"metropilot: {path}: ")
     assert words in said.err
+
+
+def test_platforms_that_are_too_short_are_refused_before_anything_is_computed(metropilot, monkeypatch):
+    monkeypatch.setattr("metropilot.convoy.capacity.convoy_members", None)
+    said = metropilot("capacity", "yizhuang", "--platform", "50", "--counts", "2")
+    assert (said.code, said.err.count("\n")) == (2, 1)
+    assert "--platform: shorter than a trainset: 50.0 m" in said.err
 
 
 def test_too_few_steps_are_refused_with_the_least_there_are(metropilot, tmp_path):

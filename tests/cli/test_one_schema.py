@@ -10,7 +10,7 @@ from fastapi import FastAPI
 from metropilot._schema import field_specs, field_type
 from metropilot.campaign import campaign_from_toml, case_request
 from metropilot.cli import app
-from metropilot.convoy import FOLLOWERS, ConvoyRequest, Link
+from metropilot.convoy import CONVOY_PERIOD_S, FOLLOWERS, ConvoyRequest, Link
 from metropilot.drivers import DRIVERS
 from metropilot.errors import InputError
 from metropilot.evaluate import (
@@ -218,6 +218,15 @@ def test_every_entry_gives_a_convoy_its_link_and_gaps(service, from_command_line
     assert (typed.link, typed.gap_m, typed.emergency_s) == (Link(0.3, 0.2, 0.1), 7.0, 40.0)
     assert ConvoyRequest.from_values(typed.values()) == typed
     assert convoy_of_body(service, given) == typed
+
+
+def test_every_entry_gives_a_convoy_its_own_period(service, from_command_line):
+    """A run.json without the period, and values in Python, took that of a single run."""
+    typed = from_command_line(command="convoy")
+    assert typed.head.dt_s == convoy_of_body(service, {}).head.dt_s == CONVOY_PERIOD_S
+    head = typed.head.values() | {"dt_s": None}
+    assert ConvoyRequest.from_values({"head": head}).convoy().dt == CONVOY_PERIOD_S
+    assert ConvoyRequest.from_values({"head": head | {"dt_s": 0.2}}).convoy().dt == 0.2
 
 
 def test_each_trainset_of_a_convoy_may_have_its_own_disturbance(service, from_command_line):

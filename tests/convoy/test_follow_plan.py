@@ -9,11 +9,11 @@ from tests.sections import section_of
 from metropilot.convoy import FOLLOWERS, Convoy, ConvoyRequest, Link, convoy_kpis, drive_convoy, string_gains
 from metropilot.convoy.drivers.follow_gap import FollowGap, FollowGapOptions
 from metropilot.convoy.drivers.own_place import most_in_gap
-from metropilot.convoy.model import convoy_members, open_channel
+from metropilot.convoy.model import convoy_members, member_bounds, open_channel
 from metropilot.convoy.own_plant import look_ahead, own_plant
 from metropilot.convoy.place import place_behind
 from metropilot.convoy.plan import MotionPlan, plan_at, plan_times
-from metropilot.convoy.rollout import ConvoyRollout
+from metropilot.convoy.rollout import ConvoyRollout, DrivenHead
 from metropilot.convoy.step import (
     HALF,
     SPARE_M,
@@ -27,9 +27,9 @@ from metropilot.convoy.step import (
 from metropilot.evaluate import RunSpec
 from metropilot.physics import vehicle_arrays
 from metropilot.planning import joint_minimum_running_time
-from metropilot.protection import spare_gap
+from metropilot.protection import spare_gap, usable_deceleration
 from metropilot.railway import Restriction, load_line, load_trainset
-from metropilot.sim import Disturbance, TimetableUpdate
+from metropilot.sim import AbstractDriver, Disturbance, Run, TimetableUpdate
 
 DT = 0.1
 YIZHUANG = load_line("yizhuang")
@@ -380,6 +380,36 @@ def test_a_dead_time_and_a_lag_of_a_second_are_answered(follower, stops, link):
     assert drive.interventions == (0,) * 3
     # a head that took its brake for another one stood 4 to 8 cm off
     assert abs(kpis.trainsets[0].stopping_error_m) <= 0.02
+
+
+def test_the_head_of_a_convoy_has_the_authority_of_its_protection():
+    """It planned its stop, on a fall, for an end of the authority that no protection of a convoy has."""
+    section = section_of(1500.0, {-300.0: 80.0}, {-300.0: 0.0, 700.0: -30.0})
+    assert section.authority is not None
+    convoy = Convoy(section, (load_trainset("dkz32"),) * 3, dt=DT)
+    led, trainset = convoy.leader()
+    bounds = member_bounds(convoy, 0)
+    assert usable_deceleration(section, trainset, bounds) < 0.9 * trainset.max_deceleration_mps2
+    assert usable_deceleration(led, trainset, bounds) == trainset.max_deceleration_mps2
+
+    told = []
+
+    class Notes(AbstractDriver):
+        id = "notes"
+
+        def init(self, run):
+            told.append(run.section)
+
+        def act(self, memory, observation):
+            told.append(observation.section)
+            return -1.0, None
+
+    later = TimetableUpdate(0.0, restriction=Restriction(400.0, 450.0, 8.0))
+    run = Run(section, trainset, 150.0, Disturbance(updates=(later,)), DT)
+    rollout = ConvoyRollout(convoy, DrivenHead(run, Notes()), FOLLOWERS.make("follow_pid"), 0)
+    rollout.advance()
+    assert len(told[-1].restrictions) == 1
+    assert {each.authority for each in told} == {None}
 
 
 def joint_minimum(convoy):

@@ -6,7 +6,14 @@ import numpy as np
 import pytest
 from tests import commands
 
-from metropilot.convoy import ConvoyDrive, ConvoyKpis, ConvoyRequest, convoy_kpis, find_manoeuvres
+from metropilot.convoy import (
+    ConvoyDrive,
+    ConvoyKpis,
+    ConvoyRequest,
+    convoy_figure,
+    convoy_kpis,
+    find_manoeuvres,
+)
 from metropilot.convoy.manoeuvre import keeping_energy_j
 from metropilot.errors import Infeasible, InputError
 from metropilot.evaluate import RunSpec
@@ -106,6 +113,22 @@ def test_a_gap_that_closes_only_at_the_stop_is_refused():
 def test_a_place_beyond_the_stop_is_refused():
     with pytest.raises(InputError, match="below 1280 m"):
         ConvoyRequest(HEAD, uncouple_at_m=1300.0).convoy()
+
+
+def test_a_gap_no_wider_than_that_of_the_coupled_is_refused():
+    """It was driven: trainsets uncoupled to a gap of 3 m."""
+    with pytest.raises(InputError, match=r"apart_m: .*3.0 m \(allowed: above 5.92 m\)"):
+        ConvoyRequest(HEAD, uncouple_at_m=900.0, apart_m=3.0).convoy()
+    assert ConvoyRequest(HEAD, apart_m=3.0).convoy().apart_m == 3.0
+
+
+def test_the_picture_has_the_planned_gap(drive: ConvoyDrive, kpis: ConvoyKpis):
+    """It stated the gap of the coupled alone, on an axis that began before the departure."""
+    _, gap, _ = convoy_figure(drive, kpis).axes
+    heights = [np.asarray(line.get_ydata()) for line in gap.lines]
+    assert any(np.array_equal(drive.planned_gap_m[:, 0], each) for each in heights)
+    assert gap.get_xlim() == (0.0, drive.time_s[-1])
+    assert "(wanted 5.92 m, 50 m from 980 m on)" in gap.get_title(loc="left")
 
 
 def test_the_command_line_names_the_option_and_the_room(tmp_path):

@@ -77,10 +77,12 @@ def capacity_command(
     sections = _sections(where, origin, destination)
     if out is not None:
         check_writable(out)
-    services = [service] if service.platform_m is None else [replace(service, platform_m=None), service]
+    # Platforms that a convoy does not fit on are refused before anything is computed.
+    services = [service] if service.platform_m is None else [service, replace(service, platform_m=None)]
     sizes = _counts(counts)
     with show_activity(f"driving {len(sections)} sections in convoys of {counts}"):
-        rows = [row for each in services for row in line_capacity(sections, trainset, sizes, options=each)]
+        found = [line_capacity(sections, trainset, sizes, options=each) for each in services]
+    rows = [row for each in reversed(found) for row in each]
     ends = f"{sections[0].origin.name} – {sections[-1].destination.name}"
     title = f"{where.id} {ends}, {trainset.id} {trainset.load}"
     below = (

@@ -10,7 +10,7 @@ import typer
 from metropilot._schema import FieldSpec, field_specs
 from metropilot.cli import options as opt
 from metropilot.cli.console import console, number, print_json, requirements, show_activity, table
-from metropilot.convoy import ConvoyRequest, Link, convoy_from_json, in_run_json
+from metropilot.convoy import CONVOY_PERIOD_S, ConvoyRequest, Link, convoy_from_json, in_run_json
 from metropilot.errors import InputError, rename_fields
 from metropilot.sim import Disturbance
 
@@ -39,7 +39,7 @@ OPTIONS = (
 )
 
 
-@opt.with_run_options("driver", more=OPTIONS, dt_s=0.1)
+@opt.with_run_options("driver", more=OPTIONS, dt_s=CONVOY_PERIOD_S)
 def convoy_command(
     context: Any,  # noqa: ANN401 (typer.Context, as far as typer knows)
     line: Annotated[str | None, opt.LINE] = None,
@@ -78,6 +78,8 @@ def convoy_command(
         request = convoy_from_json(again)
         with in_run_json(again):
             return run_and_report(request, out, as_json=as_json)
+    if opt.is_typed(context, "apart_m") and not opt.is_typed(context, "uncouple_at_m"):
+        raise InputError("needs a place of uncoupling", field="apart", allowed="--uncouple-at M")
     values = {name: given.pop(name) for name in ("options", *field_specs(ConvoyRequest))}
     values["link"] = {name: given.pop(f"link_{name}") for name in field_specs(Link)}
     values["head"] = {"line": line, "origin": origin, "destination": destination}

@@ -47,6 +47,7 @@ from .leaders import reference_speeds as reference_speeds
 from .manoeuvre import Manoeuvre as Manoeuvre
 from .manoeuvre import check_manoeuvres as check_manoeuvres
 from .manoeuvre import find_manoeuvres as find_manoeuvres
+from .model import CONVOY_PERIOD_S as CONVOY_PERIOD_S
 from .model import GAP_M as GAP_M
 from .model import Convoy as Convoy
 from .model import ConvoyGuard as ConvoyGuard

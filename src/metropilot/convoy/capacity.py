@@ -304,16 +304,16 @@ def _journey(
     """The journey of a convoy: joint plans, dwells, and drawing up where it takes several stops."""
     clock, parts = 0.0, list[tuple[ndarray, ndarray, ndarray, ndarray, ndarray]]()
     from_m = [0.0, *accumulate(section.length_m for section in sections[:-1])]
-    for k, (section, origin_m) in enumerate(zip(sections, from_m, strict=True)):
-        marks = [j * draw_up_m for j in range(stops)] if k else [0.0]
-        if marks[-1] >= section.length_m - trainset.length_m:
-            raise Infeasible(
-                f"a convoy of {count} draws up beyond the next stop",
-                field="platform_m",
-                value=options.platform_m,
-                unit="m",
-                allowed="longer platforms, or fewer trainsets",
-            )
+    marks_m = [[j * draw_up_m for j in range(stops if k else 1)] for k in range(len(sections))]
+    if any(marks[-1] >= s.length_m - trainset.length_m for marks, s in zip(marks_m, sections, strict=True)):
+        raise Infeasible(
+            f"a convoy of {count} draws up beyond the next stop",
+            field="platform_m",
+            value=options.platform_m,
+            unit="m",
+            allowed="longer platforms, or fewer trainsets",
+        )
+    for k, (section, origin_m, marks) in enumerate(zip(sections, from_m, marks_m, strict=True)):
         for j, mark in enumerate(marks):
             if k:
                 dwell = np.array([clock, clock + options.dwell_s])

@@ -351,7 +351,6 @@ def convoy_figure(drive: ConvoyDrive, kpis: ConvoyKpis) -> Figure:
     """
     from metropilot.evaluate import (
         BLACK,
-        GREY,
         SERIES_STYLES,
         add_headline,
         house_style,
@@ -367,18 +366,24 @@ def convoy_figure(drive: ConvoyDrive, kpis: ConvoyKpis) -> Figure:
             speed.plot(t.time_s, KMH_PER_MPS * t.speed_mps, color=colour, linestyle=dashes, label=name)
             if k:
                 gap.plot(drive.time_s, drive.gap_m[:, k - 1], color=colour, linestyle=dashes)
+                # So wide that it is seen behind a gap that is as planned.
+                gap.plot(
+                    drive.time_s, drive.planned_gap_m[:, k - 1], color="#D0D0D0", linewidth=5.0, zorder=1
+                )
                 apart.plot(drive.time_s, drive.speed_difference_mps[:, k - 1], color=colour, linestyle=dashes)
-        gap.axhline(drive.convoy.gap_m, color=GREY, linewidth=0.8, zorder=1)
         gap.axhline(0.0, color="#B00020", linewidth=0.8, zorder=1)
         speed.set_ylabel("speed (km/h)")
-        wanted_m = drive.convoy.gap_m
-        label_panel(gap, f"gap to the trainset ahead (m); grey: wanted {wanted_m:g} m, red: contact")
+        speed.set_xlim(0.0, float(drive.time_s[-1]))
+        convoy, section = drive.convoy, drive.convoy.section
+        wanted = f"{convoy.gap_m:g} m"
+        if np.isfinite(convoy.uncouple_at_m):
+            wanted += f", {convoy.apart_m:g} m from {convoy.uncouple_at_m:g} m on"
+        label_panel(gap, f"gap to the trainset ahead (m); grey: planned (wanted {wanted}), red: contact")
         label_panel(apart, "speed ahead less own speed (m/s)")
         apart.set_xlabel("time since departure (s)")
-        section = drive.convoy.section
         title = f"{section.origin.name} – {section.destination.name}, {len(drive.trajectories)} trainsets"
         below = (
-            f"{drive.follower}, {drive.convoy.guard}: gap {kpis.gap_min_m:.2f} to {kpis.gap_max_m:.2f} m, "
+            f"{drive.follower}, {convoy.guard}: gap {kpis.gap_min_m:.2f} to {kpis.gap_max_m:.2f} m, "
             f"speed difference at most {kpis.speed_difference_max_mps:.2f} m/s, {kpis.contacts} contacts"
         )
         add_headline(speed, title, below)

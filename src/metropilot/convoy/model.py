@@ -212,7 +212,7 @@ class Convoy(ConvoySettings):
     """Declaration of a convoy.
 
     Attributes:
-        section: Section.
+        section: Section; the movement authority of a convoy has no end, whatever the section's has.
         trainsets: Nominal trainsets with their loads, head first.
         allowed: Disturbances that protection allows for besides those that act.
         dt: Control period, s.
@@ -225,6 +225,9 @@ class Convoy(ConvoySettings):
 
     def __post_init__(self) -> None:
         check_fields(self)
+        # Coupled trainsets are guaranteed no harder brake than they stop with: an end of the authority
+        # behind the stop would disturb the stop itself. Protection and driver of the head must agree on it.
+        object.__setattr__(self, "section", replace(self.section, authority=None))
         count, given = len(self.trainsets), len(self.disturbances)
         TRAINSETS.check("trainsets", count)
         if given not in {0, 1, count}:
@@ -243,6 +246,14 @@ class Convoy(ConvoySettings):
                 value=f"{self.uncouple_at_m:g}",
                 unit="m",
                 allowed=f"below {self.section.length_m:g} m",
+            )
+        if np.isfinite(self.uncouple_at_m) and self.apart_m <= self.gap_m:
+            raise InputError(
+                "no wider than the gap while coupled",
+                field="apart_m",
+                value=self.apart_m,
+                unit="m",
+                allowed=f"above {self.gap_m:g} m",
             )
 
     def disturbance(self, k: int) -> Disturbance:
@@ -398,10 +409,7 @@ def convoy_member(convoy: Convoy, k: int, dtype: type = np.float64) -> Member:
     section = convoy.leader()[0] if k == 0 else convoy.section
     guard = None
     if convoy.guard != "none":
-        # Coupled trainsets are guaranteed no harder brake than they stop with: an end of the authority
-        # behind the stop would disturb the stop itself.
-        endless = replace(section, authority=None)
-        guard = protect(endless, trainset, member_bounds(convoy, k), dtype=dtype, before_m=before_m)
+        guard = protect(section, trainset, member_bounds(convoy, k), dtype=dtype, before_m=before_m)
     fall = 0.0 if guard is None else float(guard.pull_mps2.max())
     held = min(rates[k], trainset.safe_braking.emergency_deceleration_mps2 - max(fall, 0.0))
     return Member(

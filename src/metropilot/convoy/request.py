@@ -12,7 +12,15 @@ from typing import Any
 from metropilot._io import read_text
 from metropilot._schema import FieldSpec, check_fields, convert, declare, field_specs, from_table
 from metropilot.convoy.drivers import FOLLOWERS, AbstractFollower
-from metropilot.convoy.model import LEADER_SHARE, TRAINSETS, Convoy, ConvoySettings, Link, member_bounds
+from metropilot.convoy.model import (
+    CONVOY_PERIOD_S,
+    LEADER_SHARE,
+    TRAINSETS,
+    Convoy,
+    ConvoySettings,
+    Link,
+    member_bounds,
+)
 from metropilot.convoy.rollout import ConvoyDrive, DrivenHead, drive_convoy
 from metropilot.errors import InputError, rename_fields
 from metropilot.evaluate import (
@@ -79,14 +87,16 @@ class ConvoyRequest(ConvoySettings):
         Args:
             values: By the names of the fields; ``head`` as :meth:`metropilot.evaluate.RunSpec.from_values`
                 takes it, ``link`` and each of ``disturbances`` by the names of their own fields. What is not
-                given, or None, has its default.
-            head: Run of the head instead of that in the values.
+                given, or None, has its default; ``dt_s`` that of a convoy.
+            head: Run of the head instead of that in the values, with its own period.
 
         Raises:
             InputError: An unknown key, one of the wrong kind, or a value outside its range.
         """
         given = {key: value for key, value in values.items() if value is not None}
-        head = head or RunSpec.from_values(given.pop("head", {}))
+        if head is None:
+            told = {key: value for key, value in given.pop("head", {}).items() if value is not None}
+            head = RunSpec.from_values({"dt_s": CONVOY_PERIOD_S} | told)
         with rename_fields({name: f"link_{name}" for name in field_specs(Link)} | {Link.__name__: "link"}):
             link = from_table(Link, given.pop("link", {}))
         own, tables = [], given.pop("disturbances", [])

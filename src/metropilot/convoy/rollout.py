@@ -136,7 +136,8 @@ class DrivenHead:
     """Head that its driver drives within the convoy; it tells its planned motion.
 
     Attributes:
-        run: Its run, with the limits that hold until the last trainset has cleared them.
+        run: Its run, with the limits that hold until the last trainset has cleared them. As in the convoy the
+            movement authority has no end, whatever that of its section has.
         driver: Its driver.
         emergency_s: Time at which it makes an emergency brake (infinite: never).
         traction_share: Traction of the trainset of its run over that of its plant.
@@ -181,7 +182,8 @@ class HeadDriver:
 
     def __init__(self, head: DrivenHead, lead_s: float = 0.0) -> None:
         self.driver, self.traction_share, self.lead_s = head.driver, head.traction_share, lead_s
-        run = replace(head.run, scheduled_time_s=head.run.scheduled_time_s - lead_s)
+        section = replace(head.run.section, authority=None)
+        run = replace(head.run, section=section, scheduled_time_s=head.run.scheduled_time_s - lead_s)
         self.section, self.scheduled_s, self.restricted_s = run.section, run.scheduled_time_s, 0.0
         self.length_m = run.trainset.length_m
         self.pending = sorted(head.run.disturbance.updates, key=lambda update: update.at_s)

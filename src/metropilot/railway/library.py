@@ -308,6 +308,9 @@ def load_trainset(id_or_path: str | Path, load: str | None = None) -> Trainset:
             id=str(key._replace(id=trainset.id, load=None)),
             actuation=replace(trainset.actuation, delay_s=delay_s, lag_s=lag_s),
         )
+    if key.load is not None and key.load not in trainset.loads:
+        loads = ", ".join(trainset.loads)
+        raise InputError("unknown load", field="trainset", value=str(id_or_path), allowed=loads)
     return trainset if load is None else trainset.with_load(load)
 
 

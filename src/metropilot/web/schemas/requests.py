@@ -11,7 +11,7 @@ from pydantic_core import CoreSchema, core_schema
 
 from metropilot._schema import FieldSpec, Range, field_default, field_specs, field_type
 from metropilot.campaign import CampaignFile
-from metropilot.convoy import ConvoyRequest, Link
+from metropilot.convoy import CONVOY_PERIOD_S, ConvoyRequest, Link
 from metropilot.evaluate import POLICY, RunSpec, parse_driver, run_fields
 from metropilot.fit import Group, Resistance, Source
 from metropilot.operation import OperationOptions, SlowSection, TrainHold
@@ -378,8 +378,6 @@ class LiveIn(DriveIn):
 
 TRAINSETS = replace(field_specs(ConvoyRequest)["count"], range=Range(2, 6))
 """Trainsets of a live convoy: as many as a server drives in real time."""
-CONVOY_PERIOD_S = 0.1
-"""Control period of a convoy, as on the command line."""
 ConvoySettingsIn = create_model(
     "ConvoySettingsIn",
     __base__=RequestBody,
