@@ -218,6 +218,16 @@ def test_journey_file(metropilot, tmp_path):
     assert len(table["calls"]) == 14
 
 
+def test_a_timing_point_of_a_file_that_nobody_keeps_is_one_line(metropilot, tmp_path):
+    points = "[{ position = 0 }, { position = 30, slowest = 50 }, { position = 2631, latest = 230 }]"
+    head = 'kind = "journey"\nid = "j"\nline = "yizhuang"\n[timing_points]\n'
+    units = 'units = { position = "m", time = "s", speed = "km/h" }\n'
+    (tmp_path / "j.toml").write_text(f"{head}{units}list = {points}\n")
+    said = metropilot("plan", "yizhuang", "--journey", tmp_path / "j.toml")
+    assert (said.code, said.out, said.err.count("\n")) == (2, "", 1)
+    assert "j.toml: slowest: 30 m cannot be passed faster than " in said.err
+
+
 @pytest.mark.parametrize("name", ["lines", "trainsets", "drivers", "drivers --followers"])
 def test_catalogue(metropilot, name):
     rows = answer(metropilot(*name.split(), "--json"))

@@ -72,6 +72,8 @@ BAD = [
     (("plan", "yizhuang", "--front"), "one section"),
     (("plan", "yizhuang", "RJ", "WYJ", "--front", "--time", "101"), "--time: no time beside --front"),
     (("plan", "yizhuang", "--journey", "a.toml", "--time", "9"), "--time: no time beside --journey"),
+    (("plan", "yizhuang", "RJ", "WYJ", "--journey", "a.toml"), "origin: not beside --journey"),
+    (("plan", "yizhuang", "--journey", "a.toml", "--stopping"), "--stopping: not beside --journey"),
     (("plan", "yizhuang", "RJ", "WYJ", "--time", "90", "--jerk", "0.2"), "--jerk: no plan keeps this jerk"),
     (("plan", "yizhuang", "SJZ", "XHM", "--stopping", "--time", "400", "--jerk", "0.01"), "--jerk: no plan"),
     (("plan", "yizhuang", "--time", "100"), "--time: YZHC cannot be reached before 1734.1 s: 100.0 s"),

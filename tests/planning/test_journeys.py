@@ -131,12 +131,120 @@ def test_a_timing_point_is_passed_within_its_windows():
         ({"p1": {"departure_s": (None, 90.0)}}, r"B cannot be left before 10\d\.\d s: 90\.0 s"),
         ({"p2": {"arrival_s": (None, 150.0)}}, r"C cannot be reached before 1[67]\d\.\d s"),
         ({"p1": {"departure_s": (200.0, None)}}, r"C cannot be reached before 26\d\.\d s"),
+        ({"p0": {"departure_s": (100.0, None)}}, r"C cannot be reached before 2[67]\d\.\d s: 240\.0 s"),
+        ({"p0": {"dwell_s": (30.0, 30.0), "departure_s": (0.0, 10.0)}}, r"A cannot be left before 30\.0 s"),
     ],
 )
 def test_windows_that_cannot_be_met_are_named(changes, message):
     line, points = two_runs(**changes)
     with pytest.raises(Infeasible, match=message):
         plan_journey(line, cases.simple_trainset(), points)
+
+
+@pytest.mark.parametrize(
+    "change", [{"departure_s": (30.0, 30.0)}, {"departure_s": (30.0, None)}, {"dwell_s": (30.0, 90.0)}]
+)
+def test_the_origin_is_left_as_early_as_it_may_be(change):
+    line, points = two_runs(p0=change)
+    plan = plan_journey(line, cases.simple_trainset(), points)
+    sooner = two_runs(p2={"arrival_s": (None, 210.0)})[1]
+    without = plan_journey(line, cases.simple_trainset(), sooner)
+    assert plan.calls[0].departure_s == 30.0
+    assert plan.calls[1].running_time_s == pytest.approx(without.calls[1].running_time_s, abs=1e-3)
+    assert plan.calls[-1].arrival_s == pytest.approx(240.0, abs=1e-3)
+    assert plan.plan.energy_j == pytest.approx(without.plan.energy_j, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("first", "departure"),
+    [((30.0, 30.0), 30.0), ((30.0, None), 30.0), ((0.0, 60.0), 0.0), ((None, 60.0), 0.0)],
+)
+def test_times_of_a_journey_count_from_its_time_zero(first, departure):
+    line, _ = two_runs()
+    journey = Journey("j", line.id, (TimingPoint(0.0, *first), TimingPoint(1200.0, None, 230.0, None, 0.0)))
+    plan = plan_journey(
+        line, cases.simple_trainset(), journey_waypoints(journey), destination=line.station("B")
+    )
+    assert [c.departure_s for c in plan.calls] == pytest.approx([departure, 230.0], abs=1e-3)
+
+
+def test_a_stop_at_the_first_position_is_arrival_and_departure():
+    points = (TimingPoint(0.0, 10.0, None), TimingPoint(0.0, 40.0, 50.0), TimingPoint(1200.0, None, 230.0))
+    first = journey_waypoints(Journey("j", "made-up", points))[0]
+    assert (first.arrival_s, first.departure_s) == ((10.0, None), (40.0, 50.0))
+
+
+def test_a_lowest_speed_that_nobody_reaches_is_named():
+    line, points = two_runs()
+    passing = Waypoint(100.0, "P", stop=False, slowest_mps=25.0)
+    with pytest.raises(Infeasible, match=r"slowest: P cannot be passed faster than 1\d\.\d\d m/s") as told:
+        plan_journey(line, cases.simple_trainset(), [points[0], passing, *points[1:]])
+    top = float(told.value.allowed.removeprefix("<= ").removesuffix(" m/s"))
+    fast = dataclasses.replace(passing, slowest_mps=top)
+    plan = plan_journey(line, cases.simple_trainset(), [points[0], fast, *points[1:]])
+    assert np.interp(100.0, plan.plan.position_m, plan.plan.speed_mps) == pytest.approx(top, abs=1e-3)
+
+
+def test_windows_that_exclude_each_other_are_no_error_of_the_solver():
+    line, points = two_runs()
+    fast = {"stop": False, "slowest_mps": 19.9}
+    here = Waypoint(700.0, "P", arrival_s=(None, 70.0), **fast)
+    there = Waypoint(720.0, "Q", arrival_s=(120.0, 150.0), **fast)
+    late = dataclasses.replace(points[2], arrival_s=(None, 400.0))
+    with pytest.raises(Infeasible, match="no drive keeps the windows and speeds"):
+        plan_journey(line, cases.simple_trainset(), [points[0], here, there, points[1], late])
+
+
+@pytest.mark.parametrize("end", [(None, None), (100.0, None)])
+def test_a_journey_needs_a_latest_arrival(end):
+    line, points = two_runs(p2={"arrival_s": end})
+    with pytest.raises(InputError, match=r"C needs a latest arrival \(allowed: latest >= 1\d\d\.\d s\)"):
+        plan_journey(line, cases.simple_trainset(), points)
+
+
+def test_the_longest_time_counts_from_the_departure():
+    line, points = two_runs(p0={"departure_s": (30000.0, None)}, p2={"arrival_s": (None, 30240.0)})
+    assert plan_journey(line, cases.simple_trainset(), points).calls[-1].arrival_s == pytest.approx(30240.0)
+    line, points = two_runs(p2={"arrival_s": (None, 30240.0)})
+    with pytest.raises(InputError, match="running time out of range"):
+        plan_journey(line, cases.simple_trainset(), points)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "field"),
+    [
+        ({"arrival_s": (120.0, 110.0)}, "arrival_s"),
+        ({"departure_s": (float("nan"), None)}, "departure_s"),
+        ({"dwell_s": (60.0, 20.0)}, "dwell_s"),
+        ({"dwell_s": (-1.0, 20.0)}, "dwell_s"),
+        ({"slowest_mps": 15.0, "fastest_mps": 10.0}, "fastest_mps"),
+        ({"slowest_mps": float("nan")}, "fastest_mps"),
+        ({"position_m": -1.0}, "position_m"),
+    ],
+)
+def test_a_waypoint_nobody_can_keep_is_refused(wrong, field):
+    with pytest.raises(InputError) as told:
+        Waypoint(**({"position_m": 600.0, "name": "P"} | wrong))
+    assert (told.value.field, "P" in told.value.message) == (field, True)
+
+
+@pytest.mark.parametrize(
+    ("positions", "words"),
+    [
+        ((0.0, 2100.0, 1200.0), "B out of order"),
+        ((0.0, 1200.0, 1200.0), "B out of order"),
+        ((10.0, 1200.0, 2100.0), "the first waypoint"),
+        ((0.0, 1200.0, 21000.0), "beyond the destination"),
+    ],
+)
+def test_waypoints_lead_on_to_the_destination(positions, words):
+    line, points = two_runs()
+    moved = [
+        dataclasses.replace(p, position_m=x, name="AXB"[k])
+        for k, (p, x) in enumerate(zip(points, positions, strict=True))
+    ]
+    with pytest.raises(InputError, match=words):
+        plan_journey(line, cases.simple_trainset(), moved)
 
 
 def test_a_journey_that_stalls_is_explained():

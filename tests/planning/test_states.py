@@ -172,3 +172,42 @@ def test_length_and_rotating_mass_count():
     heavy = dataclasses.replace(base, rotating_fraction=0.1)
     a, b = (optimal_plan(section(), t, 101.0).energy_j for t in (base, heavy))
     assert a * 1.02 < b < a * 1.15
+
+
+@pytest.mark.parametrize(
+    ("wrong", "field"),
+    [
+        ({"spacing_m": 0.0}, "spacing_m"),
+        ({"start_mps": -1.0}, "start_mps"),
+        ({"start_mps": float("nan")}, "start_mps"),
+        ({"end_mps": -1.0}, "end_mps"),
+        ({"jerk_mps3": 0.0}, "jerk_mps3"),
+        ({"late_w": -50.0}, "late_w"),
+        ({"acceleration_mps2": 0.0}, "acceleration_mps2"),
+        ({"deceleration_mps2": -0.5}, "deceleration_mps2"),
+        ({"passes": 0}, "passes"),
+        ({"cap_m": np.zeros(3)}, "cap_mps"),
+        ({"cap_mps": np.ones(2)}, "cap_mps"),
+    ],
+)
+def test_options_out_of_range_are_refused(wrong, field):
+    with pytest.raises(InputError) as told:
+        PlanOptions(**wrong)
+    assert told.value.field == field
+
+
+@pytest.mark.parametrize(("field", "value"), [("objective", "Line"), ("cap_mps", np.ones(2))])
+def test_options_are_checked_without_the_types_too(field, value):
+    options = PlanOptions(cap_m=np.arange(3.0), cap_mps=np.ones(3))
+    object.__setattr__(options, field, value)  # the tests check annotations, a user's program does not
+    with pytest.raises(InputError) as told:
+        options.__post_init__()
+    assert told.value.field == field
+
+
+def test_acceleration_limits_of_the_options_only_tighten_the_trainset_s():
+    plain = optimal_plan(section(), cases.contest(), 110.0)
+    loose = PlanOptions(acceleration_mps2=5.0, deceleration_mps2=5.0)
+    tight = PlanOptions(acceleration_mps2=0.5)
+    assert optimal_plan(section(), cases.contest(), 110.0, loose).energy_j == plain.energy_j
+    assert optimal_plan(section(), cases.contest(), 110.0, tight).energy_j > plain.energy_j

@@ -76,6 +76,11 @@ def plan_command(
     trainset, load, objective = (given[key] for key in ("trainset", "load", "objective"))
     run_fields()["objective"].check("objective", objective)
     _check_numbers(time, jerk, {"front": front, "journey": journey is not None})
+    if journey is not None:
+        for name, extra in {"origin": origin, "stopping": stopping or None}.items():
+            if extra is not None:
+                words = "not beside --journey: its timing points say where it stops"
+                raise InputError(words, field=name, value=origin, allowed="one of them")
     where = load_line(line)
     asked = reports.PlanArguments(
         load_trainset(trainset, load), PlanOptions(objective=objective, jerk_mps3=jerk), out, as_json

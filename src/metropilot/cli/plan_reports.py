@@ -224,7 +224,8 @@ def timetable(asked: PlanArguments, line: Line, path: Path) -> int:
     """A journey with the timing points of a file."""
     wanted = load_journey(path)
     ends = [_station_at(line, point.position_m, path) for point in (wanted.points[0], wanted.points[-1])]
-    with show_activity(f"planning the journey {wanted.id}"):
+    named = rename_fields({"slowest": "slowest"}, path)
+    with show_activity(f"planning the journey {wanted.id}"), named:
         found = plan_journey(
             line,
             asked.trainset,

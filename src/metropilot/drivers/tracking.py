@@ -309,7 +309,7 @@ class AbstractTracker(AbstractDriver):
     ) -> TimedReference:
         """The reference from a state to the stop in the time left."""
         options = self.options
-        start = min(max(start_m, 0.0), float(model.track.length_m) - 1.0)
+        start, start_mps = min(max(start_m, 0.0), float(model.track.length_m) - 1.0), max(start_mps, 0.0)
         if options.reference == "optimal":
             plan_options = PlanOptions(
                 start_m=start,
@@ -331,6 +331,6 @@ class AbstractTracker(AbstractDriver):
             ceiling.line_mps,
             options.effort_share,
             start,
-            max(start_mps, 0.0),
+            start_mps,
         )
         return reference_under_for_time(constraints, shape, left_s, REFERENCE_PERIOD_S)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -11,7 +12,7 @@ from numpy import ndarray
 
 from metropilot.errors import Infeasible, InputError
 from metropilot.physics import track_arrays, vehicle_arrays
-from metropilot.planning.cone_program import TimeBound
+from metropilot.planning.cone_program import NoSolution, TimeBound
 from metropilot.planning.effort_table import specific
 from metropilot.planning.fastest import check_running_time, fastest_profile, times
 from metropilot.planning.mesh import Mesh, build_mesh
@@ -27,18 +28,20 @@ from metropilot.railway import Journey, Line, Station, Trainset
 
 Window = tuple[float | None, float | None]
 FREE: Window = (None, None)
+BEYOND_END_M = 1.0
+"""Distance by which the last waypoint may lie beyond the destination: positions of files are rounded."""
 
 
 @dataclass(frozen=True)
 class Waypoint:
-    """A point of the journey with what is asked of the trainset there; times since the journey's start.
+    """A point of the journey with what is asked of the trainset there; times since the journey's time zero.
 
     Attributes:
         position_m: Position from the journey's origin, in the direction of travel.
         name: Name.
         stop: True if the trainset stops here.
         arrival_s: Earliest and latest arrival (or passing), s; None is free.
-        departure_s: Earliest and latest departure, s.
+        departure_s: Earliest and latest departure, s. The first waypoint is left as early as it may be.
         dwell_s: Shortest and longest dwell, s; equal: fixed.
         slowest_mps: Lowest speed, if passing.
         fastest_mps: Highest speed, if passing.
@@ -53,10 +56,38 @@ class Waypoint:
     slowest_mps: float = 0.0
     fastest_mps: float = float("inf")
 
+    def __post_init__(self) -> None:
+        """Refuse what nothing could drive: windows upside down, numbers that are none.
+
+        Raises:
+            InputError: Naming the waypoint, the field and what is allowed.
+        """
+        where = self.name or f"{self.position_m:g} m"
+        if not (math.isfinite(self.position_m) and self.position_m >= 0.0):
+            words = f"{where}: not in the direction of travel"
+            raise InputError(words, field="position_m", value=self.position_m, unit="m", allowed=">= 0 m")
+        for field, window, least, unit in (
+            ("arrival_s", self.arrival_s, -math.inf, "s"),
+            ("departure_s", self.departure_s, -math.inf, "s"),
+            ("dwell_s", self.dwell_s, 0.0, "s"),
+            ("fastest_mps", (self.slowest_mps, self.fastest_mps), 0.0, "m/s"),
+        ):
+            low = least if window[0] is None else window[0]
+            high = math.inf if window[1] is None else window[1]
+            if not least <= low <= high or low == math.inf:
+                bounds = f"{least:g} {unit} <= " if math.isfinite(least) else ""
+                raise InputError(
+                    f"{where}: no window",
+                    field=field,
+                    value=f"{low:g} to {high:g}",
+                    unit=unit,
+                    allowed=f"{bounds}lowest <= highest",
+                )
+
 
 @dataclass(frozen=True)
 class Call:
-    """One waypoint of a planned journey, times since the journey's start.
+    """One waypoint of a planned journey, times since the journey's time zero.
 
     Attributes:
         name: Waypoint.
@@ -144,27 +175,16 @@ def timetable_waypoints(
 def journey_waypoints(journey: Journey) -> tuple[Waypoint, ...]:
     """A journey's timing points as waypoints: two stops at one position are arrival and departure.
 
-    Raises:
-        InputError: Timing points out of order.
+    The window of a single first timing point is one of departure.
     """
     result: list[Waypoint] = []
     start = journey.points[0].position_m
-    zero = journey.points[0].latest_s or 0.0
-    shift = lambda t: None if t is None else t - zero  # noqa: E731 - two words, used four times below
     for k, point in enumerate(journey.points):
-        window = (shift(point.earliest_s), shift(point.latest_s))
+        window = (point.earliest_s, point.latest_s)
         position = abs(point.position_m - start)
         if result and position == result[-1].position_m:
             result[-1] = replace(result[-1], departure_s=window, dwell_s=(0.0, float("inf")))
             continue
-        if result and position < result[-1].position_m:
-            raise InputError(
-                "timing points out of order",
-                file=journey.id,
-                field=f"timing points[{k}]",
-                value=point.position_m,
-                unit="m",
-            )
         result.append(
             Waypoint(
                 position_m=position,
@@ -175,6 +195,8 @@ def journey_waypoints(journey: Journey) -> tuple[Waypoint, ...]:
                 fastest_mps=float("inf") if point.fastest_mps is None else point.fastest_mps,
             )
         )
+    if journey.points[1].position_m != start:
+        result[0] = replace(result[0], arrival_s=FREE, departure_s=result[0].arrival_s)
     return tuple(result)
 
 
@@ -187,7 +209,7 @@ def plan_journey(
     origin: Station | None = None,
     destination: Station | None = None,
 ) -> JourneyPlan:
-    """The journey of least energy through all waypoints.
+    """The journey of least energy through all waypoints, from the earliest departure at the first.
 
     Args:
         line: Line.
@@ -198,11 +220,13 @@ def plan_journey(
         destination: Station it ends at, or None for the line's last station.
 
     Raises:
-        Infeasible: A window cannot be met even flat out, when the message names waypoint and earliest time,
-            or not within the jerk limit.
+        Infeasible: A window or a lowest speed cannot be met even flat out, when the message names waypoint
+            and what can be, or not all of them together, or not within the jerk limit.
+        InputError: Waypoints out of order, or no latest arrival at the last one.
     """
     options = replace(options or PlanOptions(), start_m=0.0, start_mps=0.0, start_mps2=0.0, end_mps=0.0)
     section = line.section(origin or line.stations[0], destination or line.stations[-1])
+    _check_order(waypoints, section.length_m)
     vehicle, track = vehicle_arrays(trainset), track_arrays(section, trainset)
     table = limit_acceleration(specific(vehicle), options)
     stops_m = np.array([w.position_m for w in waypoints])
@@ -211,13 +235,67 @@ def plan_journey(
     duration = times(mesh, energy)
     if not np.isfinite(duration).all():
         explain_stall(mesh, energy)
-    _check_windows(waypoints, mesh, duration)
-    bounds, dwells = _bounds(waypoints, mesh)
+    start_s = _check_windows(waypoints, mesh, duration)
+    _check_speeds(waypoints, np.sqrt(2.0 * energy[mesh.stop]))
+    bounds, dwells = _bounds(waypoints, mesh, start_s)
     floor = np.zeros(mesh.node_m.size)
     floor[mesh.stop] = [0.0 if w.stop else w.slowest_mps for w in waypoints]
-    with within_jerk(options):
-        plan = iterate(vehicle, table, mesh, energy, bounds, dwells, options, floor if floor.any() else None)
-    return JourneyPlan(plan, _calls(waypoints, mesh, plan, duration))
+    try:
+        with within_jerk(options):
+            plan = iterate(
+                vehicle, table, mesh, energy, bounds, dwells, options, floor if floor.any() else None
+            )
+    except NoSolution:
+        raise Infeasible(
+            "no drive keeps the windows and speeds of all points together",
+            field="journey",
+            allowed="wider windows, or lower slowest speeds",
+        ) from None
+    return JourneyPlan(plan, _calls(waypoints, mesh, plan, duration, start_s))
+
+
+def _check_order(waypoints: Sequence[Waypoint], length_m: float) -> None:
+    """Refuse waypoints that do not begin at 0 and lead on from there, to the destination at most.
+
+    Raises:
+        InputError: They do not.
+    """
+    if len(waypoints) < 2:
+        raise InputError("a journey needs two waypoints", field="journey", value=len(waypoints))
+    first = waypoints[0].position_m
+    if first != 0.0:
+        raise InputError("the first waypoint", field="position_m", value=first, unit="m", allowed="0 m")
+    for before, after in itertools.pairwise(waypoints):
+        if not before.position_m < after.position_m:
+            raise InputError(
+                f"{after.name or 'a waypoint'} out of order",
+                field="position_m",
+                value=after.position_m,
+                unit="m",
+                allowed=f"> {before.position_m:g} m",
+            )
+    last = waypoints[-1].position_m
+    if last > length_m + BEYOND_END_M:
+        words = "the last waypoint is beyond the destination"
+        raise InputError(words, field="position_m", value=last, unit="m", allowed=f"<= {length_m:g} m")
+
+
+def _check_speeds(waypoints: Sequence[Waypoint], flat_out_mps: ndarray) -> None:
+    """Refuse a lowest speed that the flat-out run does not reach.
+
+    Raises:
+        Infeasible: There is one.
+    """
+    for point, top in zip(waypoints, flat_out_mps.tolist(), strict=True):
+        if point.slowest_mps > top + 1e-9:
+            most = math.floor(100.0 * top) / 100.0
+            raise Infeasible(
+                f"{point.name} cannot be passed faster than {most:.2f} m/s",
+                field="slowest",
+                value=round(point.slowest_mps, 3),
+                unit="m/s",
+                allowed=f"<= {most:.2f} m/s",
+            )
 
 
 def _with_stops(mesh: Mesh, waypoints: Sequence[Waypoint]) -> Mesh:
@@ -226,50 +304,69 @@ def _with_stops(mesh: Mesh, waypoints: Sequence[Waypoint]) -> Mesh:
     return mesh._replace(cap_mps=cap)
 
 
-def _check_windows(waypoints: Sequence[Waypoint], mesh: Mesh, duration: ndarray) -> None:
+def _check_windows(waypoints: Sequence[Waypoint], mesh: Mesh, duration: ndarray) -> float:
     """Walk the waypoints flat out with the shortest dwells; name the first window that cannot be met.
+
+    Returns:
+        Earliest departure from the first waypoint, s.
 
     Raises:
         Infeasible: There is one.
         InputError: The whole may take far longer than it needs.
     """
-    clock = 0.0
+    start = clock = 0.0
     for k, point in enumerate(waypoints):
         if k:
             clock += float(duration[mesh.stop[k - 1] : mesh.stop[k]].sum())
-            latest = point.arrival_s[1]
-            if latest is not None and clock > latest + 1e-6:
-                raise Infeasible(
-                    f"{point.name} cannot be reached before {clock:.1f} s",
-                    field="journey",
-                    value=latest,
-                    unit="s",
-                    allowed=f">= {clock:.1f} s",
-                )
-            clock = max(clock, point.arrival_s[0] or 0.0)
-            if latest is not None and point is waypoints[-1]:
-                check_running_time(max(latest, clock), clock, field="journey")
-        clock += point.dwell_s[0]
-        clock = max(clock, point.departure_s[0] or 0.0)
-        latest = point.departure_s[1]
-        if latest is not None and clock > latest + 1e-6:
-            raise Infeasible(
-                f"{point.name} cannot be left before {clock:.1f} s",
-                field="journey",
-                value=latest,
-                unit="s",
-                allowed=f">= {clock:.1f} s",
-            )
+        clock = _earliest(point, clock, point.arrival_s, "reached")
+        if point is waypoints[-1]:
+            _check_end(point, start, clock)
+        clock = _earliest(point, clock + point.dwell_s[0], point.departure_s, "left")
+        start = clock if k == 0 else start
+    return start
 
 
-def _bounds(waypoints: Sequence[Waypoint], mesh: Mesh) -> tuple[list[TimeBound], list[tuple[float, float]]]:
+def _earliest(point: Waypoint, clock: float, window: Window, what: str) -> float:
+    """Earliest time within a window from a time on, s.
+
+    Raises:
+        Infeasible: The window has ended.
+    """
+    earliest, latest = window
+    if latest is not None and clock > latest + 1e-6:
+        raise Infeasible(
+            f"{point.name} cannot be {what} before {clock:.1f} s",
+            field="journey",
+            value=latest,
+            unit="s",
+            allowed=f">= {clock:.1f} s",
+        )
+    return clock if earliest is None else max(clock, earliest)
+
+
+def _check_end(point: Waypoint, start: float, clock: float) -> None:
+    """Refuse a last waypoint without a latest arrival: without one the slowest drive is the optimum.
+
+    Raises:
+        InputError: There is none, or far more time than the journey needs.
+    """
+    latest = point.arrival_s[1]
+    if latest is None:
+        raise InputError(
+            f"{point.name} needs a latest arrival", field="journey", allowed=f"latest >= {clock:.1f} s"
+        )
+    check_running_time(max(latest, clock) - start, clock - start, field="journey")
+
+
+def _bounds(
+    waypoints: Sequence[Waypoint], mesh: Mesh, start_s: float
+) -> tuple[list[TimeBound], list[tuple[float, float]]]:
     """Partial sums of running time for every window; fixed dwells are constants, free ones variables."""
     bounds: list[TimeBound] = []
     dwells: list[tuple[float, float]] = []
-    fixed, waits = 0.0, ()
-    for k, point in enumerate(waypoints):
-        node = int(mesh.stop[k])
-        if k and point.arrival_s != FREE:
+    fixed, waits = start_s, ()
+    for point, node in zip(waypoints[1:], mesh.stop[1:].tolist(), strict=True):
+        if point.arrival_s != FREE:
             bounds.append(_bound(node, point.arrival_s, fixed, waits))
         low, high = point.dwell_s
         if high > low:
@@ -277,7 +374,7 @@ def _bounds(waypoints: Sequence[Waypoint], mesh: Mesh) -> tuple[list[TimeBound],
             dwells.append((low, min(high, 86400.0)))
         else:
             fixed += low
-        if point.departure_s != FREE and node < mesh.length_m.size and (k or waits):
+        if point.departure_s != FREE and node < mesh.length_m.size:
             bounds.append(_bound(node, point.departure_s, fixed, waits))
     return bounds, dwells
 
@@ -287,12 +384,14 @@ def _bound(node: int, window: Window, fixed: float, waits: tuple[int, ...]) -> T
     return TimeBound(0, node, low if low is None or low > 0 else None, high, waits)
 
 
-def _calls(waypoints: Sequence[Waypoint], mesh: Mesh, plan: Plan, fastest: ndarray) -> tuple[Call, ...]:
-    calls: list[Call] = []
+def _calls(
+    waypoints: Sequence[Waypoint], mesh: Mesh, plan: Plan, fastest: ndarray, start_s: float
+) -> tuple[Call, ...]:
+    origin = waypoints[0]
+    calls = [Call(origin.name, 0.0, start_s - origin.dwell_s[0], start_s, 0.0, 0.0, 0.0)]
     free = iter(plan.dwell_s)
-    clock, last = 0.0, 0
-    for k, point in enumerate(waypoints):
-        node = int(mesh.stop[k])
+    clock, last = start_s, 0
+    for point, node in zip(waypoints[1:], mesh.stop[1:].tolist(), strict=True):
         running = float(plan.time_s[node] - plan.time_s[last])
         arrival = clock + running
         dwell = next(free) if point.dwell_s[1] > point.dwell_s[0] else point.dwell_s[0]

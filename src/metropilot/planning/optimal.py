@@ -6,11 +6,12 @@ import math
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import NamedTuple, get_args
 
 import numpy as np
 from numpy import ndarray
 
+from metropilot._schema import check_fields, declare
 from metropilot._typing import Float
 from metropilot.errors import Infeasible, InputError
 from metropilot.physics import Track, Vehicle, effort_at, mean_slopes, track_arrays, vehicle_arrays
@@ -81,26 +82,40 @@ class PlanOptions:
         cap_mps: The cap at those positions (for instance what protection permits).
         coupled: Trainsets coupled behind at constant distances, for which the plan is made too: energies and
             bound are sums over all, speed and acceleration keep the limits of each.
-        acceleration_mps2: Acceleration limit, or None for the trainset's.
-        deceleration_mps2: Deceleration limit, or None for the trainset's.
+        acceleration_mps2: Acceleration limit below the trainset's, or None for that.
+        deceleration_mps2: Deceleration limit below the trainset's, or None for that.
         passes: Most passes of the linearisation; the second one is within 0.06 % of the last.
     """
 
-    objective: Objective = "wheel"
-    spacing_m: float = 12.5
+    objective: Objective = declare("wheel", choices=get_args(Objective))
+    spacing_m: float = declare(12.5, unit="m", low=0.0, above=True)
     start_m: float = 0.0
-    start_mps: float = 0.0
-    start_mps2: float = 0.0
-    end_mps: float = 0.0
-    jerk_mps3: float | None = None
-    release_mps3: float | None = None
-    late_w: float | None = None
+    start_mps: float = declare(0.0, unit="m/s", low=0.0)
+    start_mps2: float = declare(0.0, unit="m/s^2", low=-math.inf)
+    end_mps: float = declare(0.0, unit="m/s", low=0.0)
+    jerk_mps3: float | None = declare(None, unit="m/s^3", low=0.0, above=True)
+    release_mps3: float | None = declare(None, unit="m/s^3", low=0.0, above=True)
+    late_w: float | None = declare(None, unit="W/kg", low=0.0)
     cap_m: Float[ndarray, " grid"] | None = None
     cap_mps: Float[ndarray, " grid"] | None = None
     coupled: tuple[Coupled, ...] = ()
-    acceleration_mps2: float | None = None
-    deceleration_mps2: float | None = None
-    passes: int = PASSES
+    acceleration_mps2: float | None = declare(None, unit="m/s^2", low=0.0, above=True)
+    deceleration_mps2: float | None = declare(None, unit="m/s^2", low=0.0, above=True)
+    passes: int = declare(PASSES, low=1)
+
+    def __post_init__(self) -> None:
+        """Refuse fields out of range, and a cap without as many positions.
+
+        Raises:
+            InputError: Naming the field and what is allowed.
+        """
+        check_fields(self)
+        if self.cap_m is None and self.cap_mps is None:
+            return
+        at, cap = np.shape(self.cap_m), np.shape(self.cap_mps)
+        if at != cap or len(at) != 1:
+            words = "not a speed for each position"
+            raise InputError(words, field="cap_mps", value=str(cap), allowed=f"shape {at} of cap_m")
 
 
 @dataclass(frozen=True)
@@ -329,12 +344,14 @@ def _ramp_times(mesh: Mesh, options: PlanOptions) -> ndarray:
 
 
 def limit_acceleration(table: Specific, options: PlanOptions) -> Specific:
-    """The trainset's table with the acceleration limits of the options."""
+    """The trainset's table with the acceleration limits of the options where they are lower."""
     if options.acceleration_mps2 is None and options.deceleration_mps2 is None:
         return table
+    faster, slower = (
+        math.inf if own is None else own for own in (options.acceleration_mps2, options.deceleration_mps2)
+    )
     return table._replace(
-        acceleration=options.acceleration_mps2 or table.acceleration,
-        deceleration=options.deceleration_mps2 or table.deceleration,
+        acceleration=min(faster, table.acceleration), deceleration=min(slower, table.deceleration)
     )
 
 
