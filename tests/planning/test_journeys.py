@@ -233,7 +233,7 @@ def test_a_waypoint_nobody_can_keep_is_refused(wrong, field):
     [
         ((0.0, 2100.0, 1200.0), "B out of order"),
         ((0.0, 1200.0, 1200.0), "B out of order"),
-        ((10.0, 1200.0, 2100.0), "the first waypoint"),
+        ((10.0, 1200.0, 2100.0), "the first waypoint is not at the origin"),
         ((0.0, 1200.0, 21000.0), "beyond the destination"),
     ],
 )

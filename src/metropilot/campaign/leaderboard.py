@@ -23,7 +23,7 @@ Columns = tuple[tuple[str, Callable[[Row], str]], ...]
 LEGEND = """\
 *Safe*: never above a limit, never beyond the stop. *On time*: also arrived within 0.3 m and 3 s, out of the
 runs whose time the true plant could have kept with every restriction known in advance. *Gap*: energy at the
-wheel above the certified optimum of the true plant for the running time achieved. *Trainset*: the part of it
+{at} above the certified optimum of the true plant for the running time achieved. *Trainset*: the part of it
 that jerk limit, dead time and lag cost at best under the permitted speed; *driver*: energy above that
 [attainable optimum](planning.md#the-attainable-optimum). *Comfort*: largest jerk,
 and the sum of command changes (Huang25's index, median). *Intervened*: runs in which protection intervened.
@@ -46,7 +46,13 @@ def leaderboard(campaign: Campaign, folder: Path, summary: Row, written: str) ->
         trainsets = f"{len({name for name, _ in campaign.trainsets})} trainsets ({campaign.matrix_words})"
     compared = f"{len(campaign.drivers)} drivers on {sections} sections with {trainsets}"
     lines = [f"This page compares {compared}, all under protection.", ""]
-    lines += [*find_results(campaign, summary["cells"]), "", written, "", LEGEND]
+    lines += [
+        *find_results(campaign, summary["cells"]),
+        "",
+        written,
+        "",
+        LEGEND.format(at=campaign.objective),
+    ]
     for disturbance in campaign.disturbances:
         rows = [row for row in summary["cells"] if row["disturbance"] == disturbance.name]
         words = disturbance_words(disturbance)

@@ -112,10 +112,9 @@ def median_ranks(count: int) -> tuple[float, float]:
 
     if count == 0:
         return 0.0, 1.0
-    tail = 0.5 * (1.0 - CONFIDENCE)
-    low = max(float(binom.ppf(tail, count, 0.5)) - 1.0, 0.0) / count
-    high = min(float(binom.ppf(1.0 - tail, count, 0.5)) + 1.0, count) / count
-    return low, high
+    # the middles between the ranks: a quotient of whole numbers may be rounded to the next rank
+    rank = max(float(binom.ppf(0.5 * (1.0 - CONFIDENCE), count, 0.5)), 1.0)
+    return (rank - 0.5) / count, (count + 0.5 - rank) / count
 
 
 CLOUD = 3000

@@ -14,7 +14,7 @@ from typing import Annotated, Any, Literal, TypeVar
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, create_model
 
 from metropilot._io import read_text
-from metropilot._schema import check_name, convert, field_specs, field_type
+from metropilot._schema import KIND_WORDS, check_name, convert, field_specs, field_type
 from metropilot.campaign.declared import DRAWN, OWN, Campaign, DisturbanceCase
 from metropilot.campaign.line_sweep import OPTIONS, ZONES, FeedingCase, LineSweep, Number
 from metropilot.campaign.matrix import DRIVES, KINDS, LINE, AbstractCampaign
@@ -29,9 +29,9 @@ Model = TypeVar("Model", bound=BaseModel)
 
 
 class StrictModel(BaseModel):
-    """Model without unknown keys."""
+    """Model without unknown keys, of values as TOML writes them: a text is no number, a number no truth."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
 
 class DrawnTrainsets(StrictModel):
@@ -71,14 +71,49 @@ def validate(path: Path, model: type[Model], values: dict[str, Any]) -> Model:
         raise _input_error(path, error) from None
 
 
+SHOULD = "Input should be "
+BRANCHES = {"float", "int", "str", "constrained-float", "function-before", DrawnTrainsets.__name__}
+"""Names that pydantic gives the alternatives of a field: no part of its place in the file."""
+WANTED = {
+    "bool_type": KIND_WORDS[bool],
+    "float_type": KIND_WORDS[float],
+    "int_type": KIND_WORDS[int],
+    "string_type": KIND_WORDS[str],
+    "model_type": KIND_WORDS[dict],
+    "list_type": "a list",
+    "tuple_type": "a list of two",
+}
+"""What a value of the wrong kind should be, by pydantic's name of the error."""
+
+
+def _place(item: Mapping[str, Any]) -> str:
+    """Dotted place of a validation error in the file."""
+    words = [str(part) for part in item["loc"]]
+    return ".".join(
+        w for w in words if w not in BRANCHES and not w.startswith(("list[", "literal[", "tuple["))
+    )
+
+
+def _wanted(item: Mapping[str, Any]) -> str | None:
+    """What a value should be, from its validation error; None where that says something else."""
+    if item["msg"].startswith("Tuple should have"):
+        return WANTED["tuple_type"]
+    should = item["msg"].removeprefix(SHOULD) if item["msg"].startswith(SHOULD) else None
+    return WANTED.get(item["type"], should)
+
+
 def _input_error(path: Path, error: ValidationError) -> InputError:
-    """The first of the validation errors, at the deepest field it names."""
-    first = max(error.errors(), key=lambda item: (item["type"] == "extra_forbidden", len(item["loc"])))
-    words = [str(part) for part in first["loc"] if not str(part).startswith(("list[", "literal[", "tuple["))]
-    known = {"float", "constrained-float", "function-before"}
-    field = ".".join(word for word in words if word not in known)
-    message = "unknown key" if first["type"] == "extra_forbidden" else first["msg"]
+    """The first of the validation errors at the deepest field it names, with every alternative there."""
+    found = error.errors()
+    first = max(found, key=lambda item: (item["type"] == "extra_forbidden", len(item["loc"])))
+    field = _place(first)
     value = None if first["type"] == "missing" else str(first["input"])
+    message = first["msg"]
+    if first["type"] == "extra_forbidden":
+        message = "unknown key"
+    elif (told := _wanted(first)) is not None:
+        others = (_wanted(item) for item in found if _place(item) == field)
+        message = SHOULD + " or ".join(dict.fromkeys([told, *(each for each in others if each)]))
     return InputError(message[:1].lower() + message[1:], file=path, field=field, value=value)
 
 
@@ -125,11 +160,12 @@ def resolve_name(path: Path, name: str) -> str:
 UNSPECIFIC = ("learned",)
 """Drivers that need a policy file, and so are no part of ``all``."""
 Share = Annotated[float, Field(ge=0, le=1)]
-Spread = float | tuple[float, float]
+Spread = float | Annotated[tuple[float, float], Field(strict=False)]
 
 
 Seconds = Annotated[float, Field(ge=0, le=5)]
-Late = tuple[Seconds, Seconds]
+Late = Annotated[tuple[Seconds, Seconds], Field(strict=False)]
+"""A list of TOML; its items are strict."""
 
 
 class CampaignRestriction(StrictModel):
@@ -320,11 +356,11 @@ Whole = Annotated[int, Field(ge=0, lt=2**53)]
 
 class _SweepMatrix(StrictModel):
     lines: Annotated[list[str], Field(min_length=1)]
-    headways: list[Annotated[int, Field(strict=True)]] = Field([])
+    headways: list[int] = Field([])
     days: list[str] = Field([])
     trainsets: Annotated[list[str | DrawnTrainsets], Field(min_length=1)] | DrawnTrainsets = Field(["dkz32"])
     loads: Annotated[list[str], Field(min_length=1)] | Annotated[str, Field(pattern="^all$")] = "all"
-    feedings: Annotated[list[Annotated[int, Field(strict=True)] | str], Field(min_length=1)] = Field([ZONES])
+    feedings: Annotated[list[int | str], Field(min_length=1)] = Field([ZONES])
 
 
 class _SweepFile(StrictModel):

@@ -34,7 +34,9 @@ def campaign_command(
     file: Annotated[str, typer.Argument(help="A campaign's TOML file, or the name of one that ships.")],
     out: Annotated[
         Path | None,
-        typer.Option(help="Folder; campaigns/NAME if not given. An unfinished campaign is resumed."),
+        typer.Option(
+            help="Folder; campaigns/ and the name of FILE if not given. An unfinished campaign is resumed."
+        ),
     ] = None,
     workers: Annotated[int, typer.Option(min=1, help="Processes on this machine.")] = 2,
     cluster: Annotated[
@@ -88,6 +90,7 @@ def campaign_command(
         progress = run_campaign(campaign, folder, workers, cluster, _Saying())
     except KeyboardInterrupt:
         raise typer.Abort("interrupted; the same command resumes it") from None
+    sys.stderr.write(f"writing the report to {folder}\n")
     collect_parts(folder)
     summary = summarise(folder)
     summary |= call_summary(progress, workers, cluster)

@@ -264,7 +264,13 @@ def _check_order(waypoints: Sequence[Waypoint], length_m: float) -> None:
         raise InputError("a journey needs two waypoints", field="journey", value=len(waypoints))
     first = waypoints[0].position_m
     if first != 0.0:
-        raise InputError("the first waypoint", field="position_m", value=first, unit="m", allowed="0 m")
+        raise InputError(
+            "the first waypoint is not at the origin",
+            field="position_m",
+            value=first,
+            unit="m",
+            allowed="0 m",
+        )
     for before, after in itertools.pairwise(waypoints):
         if not before.position_m < after.position_m:
             raise InputError(
