@@ -366,8 +366,9 @@ def test_intervals():
 
 @pytest.mark.parametrize("count", [1, 5, 6, 7, 10, 12, 20, 49, 50, 98, 99, 100, 101, 1000])
 def test_the_median_lies_between_the_closest_ranks_of_95_percent(count):
-    values = ", ".join(map(str, median_ranks(count)))
-    ((low, high),) = duckdb.sql(f"SELECT quantile_disc(x, [{values}]) FROM range(1, {count + 1}) t(x)").fetchall()[0]
+    ends = ", ".join(map(str, median_ranks(count)))
+    select = f"SELECT quantile_disc(x, [{ends}]) FROM range(1, {count + 1}) t(x)"
+    ((low, high),) = duckdb.sql(select).fetchall()[0]
     below = binom.cdf(np.arange(count + 1), count, 0.5)  # of that many values below the median
     assert low + high == count + 1
     assert low == 1 or below[low - 1] <= 0.025

@@ -110,10 +110,8 @@ class PlanOptions:
             InputError: Naming the field and what is allowed.
         """
         check_fields(self)
-        if self.cap_m is None and self.cap_mps is None:
-            return
-        at, cap = np.shape(self.cap_m), np.shape(self.cap_mps)
-        if at != cap or len(at) != 1:
+        at, cap = (() if each is None else np.shape(each) for each in (self.cap_m, self.cap_mps))
+        if at != cap:
             words = "not a speed for each position"
             raise InputError(words, field="cap_mps", value=str(cap), allowed=f"shape {at} of cap_m")
 
