@@ -95,7 +95,7 @@ def _place(item: Mapping[str, Any]) -> str:
 
 
 def _wanted(item: Mapping[str, Any]) -> str | None:
-    """What a value should be, from its validation error; None where that says something else."""
+    """Words for what a value should be, from its validation error; None where that says something else."""
     if item["msg"].startswith("Tuple should have"):
         return WANTED["tuple_type"]
     should = item["msg"].removeprefix(SHOULD) if item["msg"].startswith(SHOULD) else None
