@@ -241,7 +241,7 @@ def test_a_run_that_was_interrupted_shows_the_policy_kept_and_has_none_yet(tmp_p
     store, config = RunStore(tmp_path / "runs"), replace(CONFIG, evaluations=4, steps=256)
     with pytest.raises(KeyboardInterrupt):
         learn_run(store, replace(REQUEST, config=config), TrainingOptions(evaluate, interrupt))
-    (stopped,) = store.recent(status="interrupted")
+    (stopped,) = store.find("interrupted")
     assert stopped.score == 3.0
     assert stopped.kpis == pytest.approx({"safe_share": 0.3}), "those of the best, not of the last"
     folder = store.folder(stopped.id)

@@ -6,6 +6,7 @@ import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 from numpy import ndarray
@@ -332,7 +333,7 @@ def _check_windows(waypoints: Sequence[Waypoint], mesh: Mesh, duration: ndarray)
     return start
 
 
-def _earliest(point: Waypoint, clock: float, window: Window, what: str) -> float:
+def _earliest(point: Waypoint, clock: float, window: Window, what: Literal["reached", "left"]) -> float:
     """Earliest time within a window from a time on, s.
 
     Raises:
@@ -341,7 +342,9 @@ def _earliest(point: Waypoint, clock: float, window: Window, what: str) -> float
     earliest, latest = window
     if latest is not None and clock > latest + 1e-6:
         raise Infeasible(
-            f"{point.name} cannot be {what} before {clock:.1f} s",
+            f"{point.name} cannot be reached before {clock:.1f} s"
+            if what == "reached"
+            else f"{point.name} cannot be left before {clock:.1f} s",
             field="journey",
             value=latest,
             unit="s",
