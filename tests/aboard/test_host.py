@@ -220,6 +220,8 @@ def test_what_cannot_be_joined_is_refused(branches):
         x = tracer.input((), np.dtype(np.float64), 0)
         with tracer.apply_to([branches]), pytest.raises(InputError, match="one thing or another"):
             tracer.run(lambda: None if x > 0.0 else 1.0, "either")
+        with pytest.raises(InputError, match="looks up arrays"):
+            _ = tracer.constant(branches.TABLE)[None, tracer.input((), np.dtype(np.int32), 1)]
         with tracer.apply_to([branches]), pytest.raises(InputError, match="too many branches"):
             tracer.run(lambda: sum(k if x > k else 0.0 for k in range(40)), "many")
 

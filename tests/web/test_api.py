@@ -431,6 +431,7 @@ def test_the_example_of_a_running_line_works(server):
     operation = document["paths"]["/api/running-lines"]["post"]
     call = command("post", "/api/running-lines", operation, document["components"]["schemas"])
     live = server.post("/api/running-lines", json.loads(re.search(r"--json '(.*)'", call)[1]), code=201)
+    assert live["id"].startswith("live-")
     server.post(f"/api/live/{live['id']}/stop")
 
 

@@ -20,6 +20,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property, partial, wraps
 from math import prod
+from numbers import Integral
 from types import FunctionType, MappingProxyType, ModuleType
 from typing import Any, cast
 
@@ -121,9 +122,16 @@ class Symbol:
         if not any(isinstance(part, Symbol) for part in parts):
             return self.tracer.call(("static", repr(index)), lambda x: x[index], self)
         places = [part for part in parts if isinstance(part, Symbol)]
+        if any(part is None or part is Ellipsis for part in parts):
+            words = "the driver looks up arrays in a way that has no form in C"
+            raise InputError(words, field="export", value=str(parts))
         # a constant index from the end is known here; one that is known only aboard is never negative
         kept = tuple(
-            None if isinstance(part, Symbol) else part + size if isinstance(part, int) and part < 0 else part
+            None
+            if isinstance(part, Symbol)
+            else part + size
+            if isinstance(part, Integral) and part < 0
+            else part
             for part, size in zip(parts, self.shape, strict=False)
         )
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from metropilot.campaign.line_sweep import COMPUTED, OPTIONS, LineSweep
 from metropilot.campaign.report import DASH, inline_svg, markdown_table, number
+from metropilot.operation import saved_percent
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -30,11 +31,6 @@ def name_feeding(row: Row) -> str:
     """Feeding of a row in words."""
     zones = f"{row['zones']} zones" if row["zones"] != 1 else "1 zone"
     return zones if row["network"] is None else f"DC network {row['network'].rpartition('/')[2]}"
-
-
-def saved_percent(less: float | None, than: float | None) -> float | None:
-    """Energy saved."""
-    return None if less is None or than is None else 100.0 * (1.0 - less / than)
 
 
 def table_of_lines(sweep: LineSweep, rows: Sequence[Row]) -> tuple[list[str], list[list[str]]]:

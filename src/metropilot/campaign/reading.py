@@ -86,7 +86,7 @@ WANTED = {
 """What a value of the wrong kind should be, by pydantic's name of the error."""
 
 
-def _place(item: Mapping[str, Any]) -> str:
+def _locate(item: Mapping[str, Any]) -> str:
     """Dotted place of a validation error in the file."""
     words = [str(part) for part in item["loc"]]
     return ".".join(
@@ -94,7 +94,7 @@ def _place(item: Mapping[str, Any]) -> str:
     )
 
 
-def _wanted(item: Mapping[str, Any]) -> str | None:
+def _describe_wanted(item: Mapping[str, Any]) -> str | None:
     """Words for what a value should be, from its validation error; None where that says something else."""
     if item["msg"].startswith("Tuple should have"):
         return WANTED["tuple_type"]
@@ -106,13 +106,13 @@ def _input_error(path: Path, error: ValidationError) -> InputError:
     """The first of the validation errors at the deepest field it names, with every alternative there."""
     found = error.errors()
     first = max(found, key=lambda item: (item["type"] == "extra_forbidden", len(item["loc"])))
-    field = _place(first)
+    field = _locate(first)
     value = None if first["type"] == "missing" else str(first["input"])
     message = first["msg"]
     if first["type"] == "extra_forbidden":
         message = "unknown key"
-    elif (told := _wanted(first)) is not None:
-        others = (_wanted(item) for item in found if _place(item) == field)
+    elif (told := _describe_wanted(first)) is not None:
+        others = (_describe_wanted(item) for item in found if _locate(item) == field)
         message = SHOULD + " or ".join(dict.fromkeys([told, *(each for each in others if each)]))
     return InputError(message[:1].lower() + message[1:], file=path, field=field, value=value)
 

@@ -14,6 +14,7 @@ from metropilot.cli.line_day import (
     DayRequest,
     check_day_options,
     compute_day,
+    energy_cells,
     make_scatter,
     print_day,
     print_scatter,
@@ -236,15 +237,7 @@ def _print(found: OperationEnergy) -> None:
         ("floor", "any", found.floor_kwh),
         ("floor, all received", "any", found.all_received_floor_kwh),
     ]
-    cells = [
-        (
-            *words,
-            number(kwh, 1),
-            number(100.0 * (1.0 - kwh / found.cruise_kwh), 2),
-            number(100.0 * (kwh / found.floor_kwh - 1.0), 2),
-        )
-        for *words, kwh in rows
-    ]
+    cells = energy_cells(found, rows, 1)
     zones = f"{options.zones} feeding zone{'s' * (options.zones > 1)}"
     title = (
         f"{operation.line.id}, {trainset.id} {trainset.load}, every {options.headway_s} s, {zones}; "

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -97,6 +98,19 @@ def compute_day(operation: LineOperation, request: DayRequest) -> DayEnergy:
     return day_energy(operation, day, searched=request.optimise, seed=request.seed, scatter=scatter)
 
 
+def energy_cells(
+    found: OperationEnergy | DayEnergy, rows: Sequence[tuple[str, str, float]], digits: int
+) -> list[tuple[str, ...]]:
+    """Cells of energies: driving, timetable, kWh, saved against cruise and brake, above the floor."""
+    from metropilot.operation import saved_and_gap_percent
+
+    bounds = found.cruise_kwh, found.floor_kwh
+    return [
+        (*words, number(kwh, digits), *(number(each) for each in saved_and_gap_percent(kwh, *bounds)))
+        for *words, kwh in rows
+    ]
+
+
 def print_day(found: DayEnergy, fed: FeedingEnergy | None) -> None:
     """Print the energies of a day, its hours and what a network makes of it."""
     operation, timetable, driven = found.day.operation, found.day.timetable, found.driven
@@ -115,15 +129,7 @@ def print_day(found: DayEnergy, fed: FeedingEnergy | None) -> None:
             rows.append((driven.driver, "plain, mean offset", driven.plain_kwh))
         rows.append((driven.driver, "given" if given else "best found", driven.energy_kwh))
     rows.append(("floor, all received", "given running times" if given else "any", found.floor_kwh))
-    cells = [
-        (
-            *words,
-            number(kwh, 0),
-            number(100.0 * (1.0 - kwh / found.cruise_kwh), 2),
-            number(100.0 * (kwh / found.floor_kwh - 1.0), 2),
-        )
-        for *words, kwh in rows
-    ]
+    cells = energy_cells(found, rows, 0)
     ways = " + ".join(str(each.period.size) for each in timetable)
     title = (
         f"{operation.line.id}, {operation.trainset.id} {operation.trainset.load}, {found.name}; "

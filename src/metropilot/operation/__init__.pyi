@@ -1,6 +1,8 @@
 from .adapted_plans import adapt_plans as adapt_plans
 from .comparison import DrivenEnergy as DrivenEnergy
 from .comparison import ScatteredEnergy as ScatteredEnergy
+from .comparison import saved_and_gap_percent as saved_and_gap_percent
+from .comparison import saved_percent as saved_percent
 from .day import DayPower as DayPower
 from .day import DayTimetable as DayTimetable
 from .day import Journeys as Journeys

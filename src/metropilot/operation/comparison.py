@@ -6,7 +6,34 @@ from dataclasses import dataclass
 from typing import Any
 
 from metropilot.operation.line_service import EnergyBalance, LineOperation
+from metropilot.planning import excess_percent
 from metropilot.units import J_PER_KWH
+
+
+def saved_percent(kwh: float | None, plain_kwh: float | None) -> float | None:
+    """Energy below another one, %; None where one is missing, or there is next to nothing to compare with.
+
+    Args:
+        kwh: Energy.
+        plain_kwh: Energy it is compared with.
+    """
+    if kwh is None or plain_kwh is None:
+        return None
+    more = excess_percent(kwh * J_PER_KWH, plain_kwh * J_PER_KWH)
+    return None if more is None else 0.0 - more
+
+
+def saved_and_gap_percent(
+    kwh: float, plain_kwh: float, floor_kwh: float
+) -> tuple[float | None, float | None]:
+    """Energy below that of cruise and brake, and above the floor, %; None where that compares with nothing.
+
+    Args:
+        kwh: Energy.
+        plain_kwh: Energy of cruise and brake with the plain timetable.
+        floor_kwh: Floor.
+    """
+    return saved_percent(kwh, plain_kwh), excess_percent(kwh * J_PER_KWH, floor_kwh * J_PER_KWH)
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from numpy import ndarray
 
 from metropilot._schema import check_fields, declare
 from metropilot._typing import Float
-from metropilot.errors import Infeasible, InputError
+from metropilot.errors import Infeasible, InputError, SolverError
 from metropilot.physics import Track, Vehicle, effort_at, mean_slopes, track_arrays, vehicle_arrays
 from metropilot.planning.cone_program import (
     Answer,
@@ -455,10 +455,10 @@ def _tighten(base: Programme, loose: Answer, options: PlanOptions) -> tuple[Prog
     strict = replace(base, linear_drag=True)
     try:
         kept, more = _solve(strict, loose.energy, options)
-    except NoSolution:
-        # a tangent may ask for more than full traction gives
+        bound, count = _solve(secant, loose.energy, options)
+    except SolverError:
+        # a tangent may ask for more than full traction gives; the loose answer is a plan, too
         return base, loose, 1
-    bound, count = _solve(secant, loose.energy, options)
     return strict, replace(kept, dual=max(loose.dual, bound.dual)), count + more
 
 

@@ -98,6 +98,14 @@ def check_driver(request: RunSpec) -> None:
         raise InputError(error.message, field=f"options.{POLICY}", **told) from None
 
 
+def _of_request(make: Callable[[Service, Any], Any]) -> dict[str, Any]:
+    """Check and values of a kind whose worker takes one request, which is checked by reading it."""
+    return {
+        "check": lambda service, body: make(service, body).read(),
+        "values": lambda service, body, _: (make(service, body),),
+    }
+
+
 def _check_drive(service: Service, body: DriveIn) -> None:
     request = service.run_spec(body)
     request.run()
@@ -176,9 +184,8 @@ JOB_KINDS: dict[str, KindRow] = {
             *("line.json", "day.json", "run.toml", "timetable.csv", "timetable.parquet", "gtfs.zip"),
             *(f"{name}.{kind}" for name in ("trains", "power", "voltage") for kind in ("svg", "png")),
         ),
-        check=lambda service, body: service.operation_request(body).read(),
         work=operations.line_job,
-        values=lambda service, body, _: (service.operation_request(body),),
+        **_of_request(lambda service, body: service.operation_request(body)),
     ),
     "campaign": KindRow(
         words=N_("Campaign"),
@@ -195,9 +202,8 @@ JOB_KINDS: dict[str, KindRow] = {
         words=N_("Export"),
         body=ExportIn,
         result=ExportResult,
-        check=lambda service, body: service.export_request(body).read(),
         work=exports.export_job,
-        values=lambda service, body, _: (service.export_request(body),),
+        **_of_request(lambda service, body: service.export_request(body)),
         long=True,
     ),
     "fit": KindRow(
@@ -205,9 +211,8 @@ JOB_KINDS: dict[str, KindRow] = {
         body=FitIn,
         result=FitOut,
         files=(fits.TRAINSET, "fit.json", "residuals.svg", "residuals.png"),
-        check=lambda service, body: service.fit_request(body).read(),
         work=fits.fit_job,
-        values=lambda service, body, _: (service.fit_request(body),),
+        **_of_request(lambda service, body: service.fit_request(body)),
     ),
     "learn": KindRow(
         words=N_("Learning run"),

@@ -481,7 +481,7 @@ class Service:
         """
         self.check_room()
         if isinstance(body, OperationIn):
-            body = self._fitted(body)
+            body = self._fit_options(body)
         kind = next(name for name, row in JOB_KINDS.items() if row.body is type(body))
         JOB_KINDS[kind].check(self, body)
         work = self._work(kind, body, None)
@@ -489,8 +489,8 @@ class Service:
         self._schedule(job, kind, *work)
         return job
 
-    def _fitted(self, body: Operated) -> Operated:
-        """A request whose options fit its line and each other, where it leaves them open."""
+    def _fit_options(self, body: Operated) -> Operated:
+        """Fit the options that a request leaves open to its line and to each other."""
         given, line = body.model_dump(exclude_unset=True), load_line(self.path("line", body.line))
         return body.model_copy(update=OperationOptions.fitting(line, given))
 
@@ -585,7 +585,7 @@ class Service:
         """
         self.check_limits(jobs=1)
         if isinstance(body, RunningLineIn):
-            body = self._fitted(body)
+            body = self._fit_options(body)
         await self.stop_abandoned()
         drives, request = self._live_request(body)
         if len(self.queue) >= self.settings.queued_jobs:

@@ -9,9 +9,7 @@ from nicegui import events, ui
 
 from metropilot._schema import field_specs
 from metropilot.errors import MetropilotError
-from metropilot.operation import OperationOptions
-from metropilot.planning import excess_percent
-from metropilot.units import J_PER_KWH
+from metropilot.operation import OperationOptions, saved_and_gap_percent
 from metropilot.web import catalogue
 from metropilot.web.errors import Refused, error_of
 from metropilot.web.live.session import GOING
@@ -56,12 +54,6 @@ ROWS = (
     (N_("floor"), N_("any"), "floor_kwh"),
     (N_("floor, all received"), N_("any"), "all_received_floor_kwh"),
 )
-
-
-def saved_percent(kwh: float, plain_kwh: float) -> float | None:
-    """Energy below another one, %; None where there is next to nothing to compare with."""
-    more = excess_percent(kwh * J_PER_KWH, plain_kwh * J_PER_KWH)
-    return None if more is None else -more
 
 
 class OperationPage:
@@ -380,12 +372,12 @@ class OperationPage:
             else _("{line}, every {headway} s", line=told["line"], headway=told["headway_s"])
         )
         network = told["feeding"].get("network")
-        plain_kwh, floor_kwh = told["cruise_kwh"], told["floor_kwh"]
+        bounds = told["cruise_kwh"], told["floor_kwh"]
         items = [
             (_("energy"), number(told["energy_kwh"], 1, "kWh"), ""),
-            (_("floor"), number(floor_kwh, 1, "kWh"), ""),
+            (_("floor"), number(told["floor_kwh"], 1, "kWh"), ""),
             (_("gap"), number(told["gap_percent"], 2, "%"), ""),
-            (_("saved by both"), number(saved_percent(told["energy_kwh"], plain_kwh), 1, "%"), ""),
+            (_("saved by both"), number(saved_and_gap_percent(told["energy_kwh"], *bounds)[0], 1, "%"), ""),
             (_("trains"), str(told["fleet"]), ""),
             (
                 (_("highest minute"), number(told["peak_minute_w"] / 1e6, 1, "MW"), "")
@@ -400,8 +392,7 @@ class OperationPage:
                 _(driving),
                 _(timetable),
                 number(told[name], 1),
-                number(saved_percent(told[name], plain_kwh), 2),
-                number(excess_percent(told[name] * J_PER_KWH, floor_kwh * J_PER_KWH), 2),
+                *(number(each, 2) for each in saved_and_gap_percent(told[name], *bounds)),
             )
             for driving, timetable, name in ROWS
             if name in told

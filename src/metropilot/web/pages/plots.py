@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
-from typing import Any
+from typing import Any, Literal
 
 from metropilot.evaluate import BLACK, BLUE, GREEN, GREY, ORANGE, SERIES_STYLES, SKY, VERMILION, driver_styles
 from metropilot.fit import NORMAL_95
@@ -75,30 +75,32 @@ def line(
     **more: Any,  # noqa: ANN401
 ) -> Trace:
     """Make a line trace; ``dash`` and ``shape`` go into its ``line``."""
-    style = {"color": colour, "width": width}
-    style |= {key: more.pop(key) for key in ("dash", "shape") if key in more}
-    return {
-        "type": "scatter",
-        "mode": "lines",
-        "name": name,
-        "x": list(x),
-        "y": list(y),
-        "line": style,
-        **more,
-    }
+    return _scatter("line", name, x, y, {"color": colour, "width": width}, ("dash", "shape"), more)
 
 
 def markers(name: str, x: Sequence[Any], y: Sequence[Any], colour: str, size: int = 10, **more: Any) -> Trace:  # noqa: ANN401
     """Make a trace of markers; ``symbol`` and ``line`` go into its ``marker``."""
-    style = {"color": colour, "size": size}
-    style |= {key: more.pop(key) for key in ("symbol", "line") if key in more}
+    return _scatter("marker", name, x, y, {"color": colour, "size": size}, ("symbol", "line"), more)
+
+
+def _scatter(
+    part: Literal["line", "marker"],
+    name: str,
+    x: Sequence[Any],
+    y: Sequence[Any],
+    style: dict[str, Any],
+    own: Sequence[str],
+    more: dict[str, Any],
+) -> Trace:
+    """Trace of lines or of markers, with those of its further values that belong to their style."""
+    style |= {key: more.pop(key) for key in own if key in more}
     return {
         "type": "scatter",
-        "mode": "markers",
+        "mode": f"{part}s",
         "name": name,
         "x": list(x),
         "y": list(y),
-        "marker": style,
+        part: style,
         **more,
     }
 
