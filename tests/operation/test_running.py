@@ -46,12 +46,13 @@ def test_undisturbed_it_is_its_timetable(found):
 
 def test_where_all_is_received_energy_is_exactly_that_of_the_timetable():
     """No second of a trip is left out, and auxiliaries are off in the turn-round alone."""
-    options = OperationOptions(headway_s=180, zones=1)
+    # at 180 s some offsets lose energy for parts of a second, and rounding chooses among offsets
+    options = OperationOptions(headway_s=120, zones=1)
     found = operation_energy(LineOperation(short_line(6), TRAINSET, options))
     line = RunningLine(found)
-    run(line, 360)
-    assert found.energy_kwh == pytest.approx(found.floor_kwh, rel=1e-5), "one zone receives everything"
-    assert line.as_dict()["energy_kwh"] == pytest.approx(2.0 * found.energy_kwh, rel=1e-6)
+    run(line, 240)
+    assert found.energy_kwh == pytest.approx(found.floor_kwh, rel=1e-7), "one zone receives everything"
+    assert line.as_dict()["energy_kwh"] == pytest.approx(2.0 * found.energy_kwh, rel=1e-9)
 
 
 def test_a_train_that_is_held_delays_the_next_ones_and_all_recover(found):
