@@ -1,5 +1,6 @@
 """Headways of a timetable: what binds, what the search may do, and that it keeps to it."""
 
+from dataclasses import replace
 from functools import cache
 from math import ceil, inf
 
@@ -7,6 +8,7 @@ import numpy as np
 import pytest
 from tests.operation.lines import TRAINSET, short_line
 
+from metropilot.convoy import needed_m, trainset_behind
 from metropilot.errors import InputError
 from metropilot.operation import (
     LineOperation,
@@ -21,6 +23,7 @@ from metropilot.operation import (
     repeat_timetables,
     timetable_energy,
 )
+from metropilot.railway import load_trainset
 
 
 def operation(**given):
@@ -46,6 +49,47 @@ def test_a_second_of_dwell_is_a_second_of_headway_and_so_is_one_of_the_message(b
     for a, b, c in zip(now, late, long, strict=True):
         assert b.headway_s - a.headway_s == pytest.approx(3.0, abs=1e-6)
         assert c.headway_s - a.headway_s == pytest.approx(10.0, abs=0.3)
+
+
+def motion(line, first, profiles):
+    """Times, places and the farthest place asked for of a journey, every tenth of a second."""
+    timetable, parts, from_m = line.plain_timetable(), [], 0.0
+    for k in range(first, first + line.count):
+        (driven,) = profiles[k].values()
+        own = trainset_behind(line.trips[k].section, line.trainset)
+        time_s, lasts_s = np.append(np.arange(0.0, driven.time_s[-1], 0.1), driven.time_s[-1]), driven.time_s
+        j = np.minimum(np.searchsorted(lasts_s, time_s, side="right") - 1, lasts_s.size - 2)
+        rate = (np.diff(driven.speed_mps) / np.diff(lasts_s))[j]
+        since = time_s - lasts_s[j]
+        speed = np.maximum(driven.speed_mps[j] + rate * since, 0.0)
+        place = driven.position_m[j] + since * (driven.speed_mps[j] + 0.5 * rate * since)
+        need = [
+            needed_m(own, *each) for each in zip(place.tolist(), speed.tolist(), rate.tolist(), strict=True)
+        ]
+        departs_s = timetable.departure_s[k] - timetable.departure_s[first]
+        parts.append((departs_s + time_s, from_m + place, from_m + place + np.array(need)))
+        from_m += float(driven.position_m[-1])
+    return (np.concatenate(each) for each in zip(*parts, strict=True))
+
+
+@pytest.mark.parametrize(
+    ("trainset", "age_s", "reserve"),
+    [("ch_stadler_flirt_tpf", 0.0, 0.3), ("cn_beijing_subway", 2.4, 0.02), ("drawn-18-7", 10.0, 0.02)],
+)
+def test_at_the_least_headway_nothing_is_asked_for_that_is_not_free(trainset, age_s, reserve):
+    short = replace(short_line(4), planned_forward_s=(), planned_backward_s=())
+    given = OperationOptions(zones=1, age_s=age_s, dwell_s=20, dwell_window_s=0, reserve=reserve)
+    line = LineOperation(short, load_trainset(trainset), given)
+    profiles = line.profiles("cruise")
+    for first, found in zip((0, line.count), headways(line, profiles=profiles), strict=True):
+        time_s, place_m, asked_m = motion(line, first, profiles)
+        lacks_m = []
+        for headway_s in (found.headway_s, found.headway_s - 1.0):
+            known_s = time_s + headway_s - age_s
+            rear_m = np.interp(known_s, time_s, place_m) - line.trainset.length_m
+            lacks_m.append(float((asked_m - rear_m)[known_s < time_s[-1]].max()))
+        assert lacks_m[0] < 0.3, "metres"
+        assert lacks_m[1] > 0.1
 
 
 def test_blocks_are_farther_apart():

@@ -18,6 +18,7 @@ from .blocking import needed_m as needed_m
 from .blocking import reach_m as reach_m
 from .blocking import sample_run as sample_run
 from .blocking import trainset_behind as trainset_behind
+from .blocking import watched_places as watched_places
 from .capacity import AGE_S as AGE_S
 from .capacity import Capacity as Capacity
 from .capacity import ServiceOptions as ServiceOptions

@@ -28,15 +28,21 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 SAMPLE_S = 0.5
-"""Interval at which a motion is looked at."""
+"""Longest interval between two looks at a motion."""
+JUMP_MPS2, BEFORE_S = 0.02, 1e-6
+"""Change of acceleration just before and after which a motion is looked at too: what must be free jumps."""
 PLACE_M = 1.0
 """Distance between the places of a moving block."""
 SAME_M = 1e-6
+NEAR_REAR_M = 1e-3 + (0.2 * np.arange(11.0)) ** 2
+"""Places before the rear of a train at a platform that are looked at: it leaves them slowly."""
+NEAR_END_M = 1e-3
+"""Last place before the end of a journey, which is passed slowly too."""
 WIDTH_IN, HEIGHT_IN = 8.4, 5.2
 
 
 class ServiceRun(NamedTuple):
-    """Motion of the head of a convoy over all sections, in equal steps of time.
+    """Motion of the head of a convoy over all sections, in steps of time and at jumps of its acceleration.
 
     Attributes:
         time_s: Time since departure. Shape (T,).
@@ -64,7 +70,9 @@ class ServiceRun(NamedTuple):
 def sample_run(
     nodes: Sequence[tuple[ndarray, ndarray, ndarray, ndarray, ndarray]], from_m: Float[ndarray, " sections"]
 ) -> ServiceRun:
-    """Motion in equal steps from its pieces, over each of which acceleration is constant between nodes.
+    """Motion in steps from its pieces, over each of which acceleration is constant between nodes.
+
+    What a train must have free jumps with its acceleration: steps alone would see it too late.
 
     Args:
         nodes: Time, position, speed, acceleration from there on and section, for each piece.
@@ -73,6 +81,8 @@ def sample_run(
     time, position, speed, rate, section = (np.concatenate(part) for part in zip(*nodes, strict=True))
     grid = np.arange(0.0, time[-1] + SAMPLE_S, SAMPLE_S)
     grid[-1] = time[-1]
+    jumps = time[1:][np.abs(np.diff(rate)) > JUMP_MPS2]
+    grid = np.unique(np.concatenate([grid, jumps - BEFORE_S, jumps]))
     node = np.searchsorted(time, grid, side="right") - 1
     since = grid - time[node]
     return ServiceRun(
@@ -136,6 +146,22 @@ def first_times(
     share = np.divide(at_m - way_m[k - 1], rise, out=np.ones_like(rise), where=rise > 0)
     found = time_s[k - 1] + share * (time_s[k] - time_s[k - 1])
     return np.where(after == 0, time_s[0], np.where(after == way_m.size, np.inf, found))
+
+
+def watched_places(
+    reach: Float[ndarray, " times"], end_m: float, rears_m: Float[ndarray, " stops"], step_m: float
+) -> Float[ndarray, " places"]:
+    """Places of a moving block in steps, with those that trains leave slowly: before a stop's rear, the end.
+
+    Args:
+        reach: Farthest place that must have been free by each moment.
+        end_m: Last stop.
+        rears_m: Where trains at platforms end.
+        step_m: Distance between the places.
+    """
+    last_m = max(float(reach[-1]), end_m)
+    slow_m = np.append(np.add.outer(rears_m, NEAR_REAR_M).ravel(), end_m - NEAR_END_M)
+    return np.union1d(np.arange(reach[0], last_m, step_m), slow_m[(slow_m > reach[0]) & (slow_m < last_m)])
 
 
 class PlaceHeadway(NamedTuple):
@@ -221,7 +247,7 @@ def blocking_times(
     # what is asked for beyond a stop, before the train leaves it
     overlap_m = np.array([reach[run.position_m <= stop + SAME_M][-1] for stop in stops_m[:-1]]) - stops_m[:-1]
     if blocks_m is None:
-        from_m = to_m = np.arange(reach[0], end_m, PLACE_M)
+        from_m = to_m = watched_places(reach, end_m, stops_m[:-1] - length_m, PLACE_M)
     else:
         starts = zip(run.from_m, stops_m, blocks_m, strict=True)
         inner = [np.linspace(a, b, int(np.ceil((b - a) / most - 1e-9)) + 1) for a, b, most in starts]

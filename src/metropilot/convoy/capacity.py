@@ -22,7 +22,6 @@ from metropilot._provenance import provenance
 from metropilot._schema import FieldSpec, Range, check_fields, declare
 from metropilot.convoy.analysis import FAR_M, Ahead, spare_m
 from metropilot.convoy.blocking import (
-    SAMPLE_S,
     BlockingTimes,
     PlaceHeadway,
     ServiceRun,
@@ -384,7 +383,7 @@ class _Pursuit:
         near = np.flatnonzero(room < self.near_m)
         # the moment that was too near at the last headway is most likely too near again
         for k in sorted(near, key=lambda k: abs(int(k) - self.nearest)):
-            ahead = min(max(int(then[k] / SAMPLE_S), 0), j.time_s.size - 1)
+            ahead = max(int(np.searchsorted(j.time_s, then[k], side="right")) - 1, 0)
             if self._spare_m(int(k), float(room[k]), float(speed[k]), float(j.acceleration_mps2[ahead])) < 0:
                 self.nearest = int(k)
                 return False

@@ -22,6 +22,7 @@ from metropilot.convoy import (
     reach_m,
     sample_run,
     trainset_behind,
+    watched_places,
 )
 from metropilot.errors import InputError
 from metropilot.operation.day import DayTimetable, PeriodicPart
@@ -311,8 +312,9 @@ class LongestDwells:
     def __init__(self, operation: LineOperation, plans: Sequence[Profiles]) -> None:
         self._operation, self._plans, self._motions = operation, plans, TripMotions(operation)
         self._found: dict[tuple[int, int, int], float] = {}
-        beyond = np.arange(0.0, operation.trainset.length_m + OVERLAP_M, PLACE_M)
-        self._beyond_m = np.append(beyond, beyond[-1] + PLACE_M)
+        most_m = operation.trainset.length_m + OVERLAP_M
+        # dense at the stop, where the time grows as the square root of the distance
+        self._beyond_m = np.linspace(0.0, math.sqrt(most_m), math.ceil(most_m / PLACE_M) + 1) ** 2
         self._leaves_s = [self._leave(k) for k in range(len(operation.trips))]
 
     def _leave(self, trip: int) -> Float[ndarray, " places"]:
@@ -351,7 +353,8 @@ class LongestDwells:
         """End and first time of the blocks of a trip, and of what is asked for beyond its end."""
         end_m = float(run.position_m[-1])
         if self._operation.options.blocks is None:
-            from_m = to_m = np.arange(reach[0], max(reach[-1], end_m), PLACE_M)
+            rears_m = np.array([end_m - self._operation.trainset.length_m])
+            from_m = to_m = watched_places(reach, end_m, rears_m, PLACE_M)
         else:
             edges = np.linspace(0.0, end_m, self._operation.options.blocks + 1)
             edges = np.append(edges, max(reach[-1], end_m + PLACE_M))
