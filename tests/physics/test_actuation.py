@@ -1,5 +1,6 @@
 """Dead time, lag and jerk limit between a command and the wheel."""
 
+import math
 from itertools import pairwise
 
 import numpy as np
@@ -113,3 +114,20 @@ def test_brakes_are_controlled_to_a_rate_behind_dead_time_and_lag():
     full = decelerations([-1.0] * 20, rate)
     assert full.max() == pytest.approx(rate, abs=1e-3)
     assert full.max() < 0.9 * decelerations([-1.0] * 20, np.inf).max()
+
+
+@pytest.mark.parametrize(("service", "jerk"), [(1.1, 0.3), (0.9, 0.3), (1.1, math.inf)])
+def test_the_service_brake_never_delays_the_emergency_brake(service, jerk):
+    """A service brake that asks for more, but builds up slowly, leaves the emergency brake as guaranteed."""
+    safe = SafeBraking(0.8, service, emergency_jerk_mps3=2.0)
+    trainset = cases.trainset(
+        actuation=Actuation(jerk_limit_mps3=jerk), safe_braking=safe, service_deceleration_mps2=service
+    )
+    vehicle, track = cases.plant(cases.section(), trainset)
+    state = physics.at_rest(vehicle, speed_mps=20.0)
+    for _ in range(10):
+        state = physics.step(vehicle, track, state, physics.Command(1.0), DT)
+    before = float(state.acceleration_mps2)
+    for k in range(1, 5):
+        state = physics.step(vehicle, track, state, physics.Command(-1.0, emergency=True), DT)
+        assert state.acceleration_mps2 <= max(before - 2.0 * DT * k, -0.8) + 1e-9

@@ -20,7 +20,16 @@ from metropilot.protection import (
     protect,
     supervise,
 )
-from metropilot.railway import Actuation, MovementAuthority, Restriction, Steps, load_line, load_trainset
+from metropilot.railway import (
+    Actuation,
+    EffortCurve,
+    MovementAuthority,
+    Restriction,
+    SafeBraking,
+    Steps,
+    load_line,
+    load_trainset,
+)
 
 LINE = load_line("yizhuang")
 SECTION = LINE.section("RJ", "WYJ")
@@ -301,3 +310,43 @@ def test_the_permitted_speed_is_for_many_positions_at_once():
     at = np.linspace(0.0, 1000.0, 7)
     assert permitted_speed(protection, at).shape == (7,)
     np.testing.assert_allclose(permitted_speed(protection, at), [permitted_speed(protection, x) for x in at])
+
+
+def test_a_brake_that_fades_while_a_fall_adds_speed():
+    """A command that still held back when it passed holds less at the speed gained in the reaction."""
+    period_s, limit = 0.5, 9.4
+    speeds = np.linspace(0.0, 44.0, 80)
+    fading = np.maximum(speeds / 8.0, 1.0) ** -8.0
+    known = load_trainset("drawn-77-3")
+    slow = replace(
+        known,
+        electric_brake=EffortCurve.table(speeds, 0.9 * known.effective_mass_kg * fading),
+        friction_brake_n=0.0,
+        service_deceleration_mps2=0.9,
+        length_m=0.0,
+        max_speed_mps=40.0,
+        actuation=Actuation(4.0),
+        safe_braking=SafeBraking(1.2, 0.9, reaction_s=4.0),
+    )
+    steep = replace(
+        SECTION,
+        gradient_permil=Steps(np.array([-500.0]), np.array([-40.0])),
+        limit_mps=Steps(np.array([-500.0]), np.array([limit])),
+        curves=(),
+        tunnels=(),
+        authority=None,
+    )
+    sure = replace(Bounds.of(slow, period_s), mass=(1.0, 1.0), resistance=(1.0, 1.0), service_share=1.0)
+    guard = protect(steep, slow, sure)
+    guard = guard._replace(service=np.full_like(guard.service, 1e6))
+    vehicle, track = physics.vehicle_arrays(slow), physics.track_arrays(steep, slow)
+    for share in (-0.3, -0.27):
+        state = physics.at_rest(vehicle, delay_steps=8, speed_mps=limit - 3.0)
+        memory, levels = at_start(guard), set()
+        for _ in range(120):
+            seen = state.position_m, state.speed_mps
+            command, memory, verdict = supervise(guard, memory, *seen, Command(np.float64(share), False))
+            levels.add(int(verdict.level))
+            state = physics.step(vehicle, track, state, command, period_s)
+            assert state.speed_mps <= limit
+        assert 3 in levels

@@ -174,13 +174,17 @@ def wheel_force(
     asked, strongest_n = effort.force_n(share), effort.brake_n
     if most_brake_n is not None:
         asked, strongest_n = xp.maximum(asked, -most_brake_n), xp.minimum(strongest_n, most_brake_n)
-    # Of the two brakes the stronger one acts: an emergency never takes back what the service brake gives.
+    # Of the two brakes the stronger one acts: an emergency never takes back what the service brake gives,
+    # and the service brake, where it asks for more, never delays what the emergency brake gives.
+    guaranteed = (-vehicle.emergency_n - resisting_n) / vehicle.effective_mass_kg
+    built = xp.maximum(guaranteed, acceleration_mps2 - vehicle.emergency_jerk_mps3 * dt)
+    most = xp.where(emergency, built, float("inf"))
     emergency = emergency & (asked >= -vehicle.emergency_n)
     wanted = xp.where(emergency, -vehicle.emergency_n, asked)
     jerk = xp.where(emergency, vehicle.emergency_jerk_mps3, vehicle.jerk_mps3)
     target = (wanted - resisting_n) / vehicle.effective_mass_kg
     room = jerk * dt
-    accel = xp.clip(target, acceleration_mps2 - room, acceleration_mps2 + room)
+    accel = xp.minimum(xp.clip(target, acceleration_mps2 - room, acceleration_mps2 + room), most)
     force = accel * vehicle.effective_mass_kg + resisting_n
     floor = xp.where(emergency, vehicle.emergency_n, strongest_n)
     return xp.clip(force, -floor, effort.traction_n)

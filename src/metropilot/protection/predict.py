@@ -32,7 +32,7 @@ class EffortsAround(NamedTuple):
     Attributes:
         low_mps: The lower one.
         slow: Efforts there.
-        quick: Efforts at the higher one.
+        quick: Efforts at the higher one, to which a fall may still speed the trainset up.
     """
 
     low_mps: Scalar
@@ -40,11 +40,25 @@ class EffortsAround(NamedTuple):
     quick: Effort
 
 
-def efforts_around(vehicle: Vehicle, rates: Rates, speed_mps: Scalar) -> EffortsAround:
-    """Efforts about a measured speed; rates with the same error of the speed have the same."""
+def efforts_around(vehicle: Vehicle, rates: Rates, speed_mps: Scalar, gain_mps: Scalar) -> EffortsAround:
+    """Efforts about a measured speed; rates with the same error of the speed have the same.
+
+    Args:
+        vehicle: The nominal trainset.
+        rates: Declared bounds.
+        speed_mps: Measured speed.
+        gain_mps: Speed that a fall may add until the emergency brake acts (:func:`gain_on_fall`).
+    """
     xp = namespace(rates.speed_error_mps, speed_mps)
     low = xp.maximum(speed_mps - rates.speed_error_mps - SLACK_MPS, 0.0)
-    return EffortsAround(low, effort_at(vehicle, low), effort_at(vehicle, speed_mps + rates.speed_error_mps))
+    high = speed_mps + rates.speed_error_mps + gain_mps
+    return EffortsAround(low, effort_at(vehicle, low), effort_at(vehicle, high))
+
+
+def gain_on_fall(rates: Rates, pull_mps2: Scalar) -> Scalar:
+    """Most speed that a trainset without traction gains on a fall until the emergency brake acts, m/s."""
+    xp = namespace(rates.reaction_s, pull_mps2)
+    return xp.maximum(pull_mps2, 0.0) * rates.reaction_s
 
 
 def fastest(
@@ -66,7 +80,8 @@ def fastest(
         around: Efforts about the speed where they are known.
     """
     xp = namespace(rates.mass_low, speed_mps)
-    around = efforts_around(vehicle, rates, speed_mps) if around is None else around
+    if around is None:
+        around = efforts_around(vehicle, rates, speed_mps, gain_on_fall(rates, pull_mps2))
     low, slow, quick = around
     lightest = rates.mass_low * vehicle.effective_mass_kg
     heaviest = rates.mass_high * vehicle.effective_mass_kg
@@ -172,9 +187,14 @@ def highest_speed(
     for _ in range(HALVINGS):
         middle = 0.5 * (low + high)
         speed = middle + 2.0 * rates.speed_error_mps
-        effort = effort_mps2(middle)
-        seen = np.where(effort > 0, effort / rates.mass_low, effort * rates.service_share / rates.mass_high)
-        seen = seen + fastest(vehicle, rates, speed, pull_mps2)[2]
+        effort, gain = effort_mps2(middle), gain_on_fall(rates, pull_mps2)
+        around = efforts_around(vehicle, rates, speed, gain)
+        # on a fall that command may give less at the speed gained
+        given = effort_at(vehicle, speed + rates.speed_error_mps).brake_n
+        lasting = around.quick.brake_n / np.maximum(given, 1.0)
+        braking = effort * np.minimum(lasting, 1.0) * rates.service_share / rates.mass_high
+        seen = np.where(effort > 0, effort / rates.mass_low, braking)
+        seen = seen + fastest(vehicle, rates, speed, pull_mps2, around)[2]
         fits = np.concatenate(
             [
                 stays_under(

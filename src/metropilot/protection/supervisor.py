@@ -16,6 +16,7 @@ from metropilot.protection.predict import (
     acceleration,
     efforts_around,
     fastest,
+    gain_on_fall,
     reaction_way,
     stays_under,
 )
@@ -219,11 +220,13 @@ class CommandCheck:
         self.node, self.way = on_grid(protection, position)
         self.first_m = protection.start_m + protection.spacing_m * _like(position, self.node) - position
         worst, usual = protection.rates, protection.service_rates
-        around = efforts_around(protection.vehicle, worst, speed_mps)
-        self.worst = self._brake(worst, protection.emergency, protection.pull_mps2, around)
+        pull, usual_pull = (self._pull(each) for each in (protection.pull_mps2, protection.usual_pull_mps2))
+        gain = gain_on_fall(worst, pull)
+        around = efforts_around(protection.vehicle, worst, speed_mps, gain)
+        self.worst = self._brake(worst, protection.emergency, pull, around)
         if xp is not scalars or usual.speed_error_mps != worst.speed_error_mps:
-            around = efforts_around(protection.vehicle, usual, speed_mps)
-        self.usual = self._brake(usual, protection.service, protection.usual_pull_mps2, around)
+            around = efforts_around(protection.vehicle, usual, speed_mps, gain)
+        self.usual = self._brake(usual, protection.service, usual_pull, around)
         # The oldest command remembered has arrived; the others may still be on their way.
         self.older = -1.0 if memory.recent.shape[0] == 1 else memory.recent[:-1].max()
         self.fading = memory.acceleration_mps2 - protection.fading.acceleration_mps2
@@ -247,8 +250,10 @@ class CommandCheck:
         in_time = self._in_time(self.usual, share, margin_mps) & self._in_time(self.worst, share, margin_mps)
         return in_time & self._clear(share, margin_mps, 1.0)
 
-    def _brake(self, rates: Rates, curve: Array, pulls: Array, around: EffortsAround) -> Brake:
-        pull = self.xp.maximum(pulls[self.node], pulls[self.node + 1])
+    def _pull(self, pulls: Array) -> Scalar:
+        return self.xp.maximum(pulls[self.node], pulls[self.node + 1])
+
+    def _brake(self, rates: Rates, curve: Array, pull: Scalar, around: EffortsAround) -> Brake:
         ahead = slice_from(curve, self.node, self.protection.ahead.shape[0])
         forces = fastest(self.protection.vehicle, rates, self.speed_mps, pull, around)
         return Brake(rates, ahead, pull, forces)
