@@ -68,7 +68,7 @@ class InputError(MetropilotError, ValueError):
         head = ": ".join(_cut(part) for part in (self.file, self.field, self.message) if part)
         if self.value is not None:
             head += ": " + _cut(repr(self.value) if isinstance(self.value, str) else str(self.value))
-            if self.unit:
+            if self.unit and self.unit != "1":
                 head += f" {self.unit}"
         if self.allowed:
             head += f" (allowed: {self.allowed})"

@@ -185,7 +185,8 @@ ABOARD = ("--to", "c", "--line", "yizhuang", "--out", "aboard")
 BAD = [
     (("learn",), "driver: missing (allowed: ppo, ppo_scaled"),
     (("learn", "pp0"), "did you mean ppo"),
-    (("learn", "ppo", "--set", "entrpy=1"), "nearest is 'entropy'"),
+    (("learn", "ppo", "--set", "entrpy=1"), "entrpy: unknown key, did you mean entropy? (allowed: steps, "),
+    (("learn", "ppo", "--set", "foo=1"), "foo: unknown key (allowed: steps, "),
     (("learn", "ppo", "--set", "entropy"), "KEY=VALUE"),
     (("learn", "ppo", "--set", "hidden=wide"), "a whole number, or a list of such"),
     (("learn", "ppo", "--set", "gamma=2"), "gamma: out of range"),

@@ -26,7 +26,11 @@ def test_schedules_and_tuples_are_read():
 @pytest.mark.parametrize(
     ("algorithm", "values", "line"),
     [
-        ("ppo", {"learning_rat": 1e-3}, "learning_rat: unknown key, the nearest is 'learning_rate'"),
+        (
+            "ppo",
+            {"learning_rat": 1e-3},
+            "learning_rat: unknown key, did you mean learning_rate? (allowed: st",
+        ),
         (
             "pppo",
             {},

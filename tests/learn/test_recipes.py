@@ -39,7 +39,7 @@ def test_what_there_is_no_recipe_for_names_the_nearest():
         recipe("ppo-scaled")
     with pytest.raises(InputError, match="it is learned by: metropilot reproduce cheng2023"):
         recipe("ddpg_pid")
-    with pytest.raises(InputError, match="nearest is 'entropy'"):
+    with pytest.raises(InputError, match="did you mean entropy"):
         recipe("ppo").configuration("quick", entrpy=1.0)
     with pytest.raises(InputError, match="did you mean drive_jerk"):
         recipe("ppo").task_configuration("drive_jurk")

@@ -6,7 +6,7 @@ import pytest
 from tests.railway import samples
 
 from metropilot.errors import InputError
-from metropilot.railway import import_file, load_line
+from metropilot.railway import import_file, load_line, load_trainset, write_trainset
 
 # (what to replace, by what, field, value shown or None, unit or None, beginning of what is allowed)
 LINE = [
@@ -63,7 +63,7 @@ LINE = [
     (
         "forward = [110, 80]",
         "forward = [110]",
-        "timetable.planned_forward_s",
+        "timetable.forward",
         "1",
         None,
         "2, one for each section",
@@ -72,12 +72,12 @@ LINE = [
     (
         "dwell = [30]",
         "dwell = [30, 30]",
-        "timetable.dwell_s",
+        "timetable.dwell",
         "2",
         None,
         "1, one for each station on the way",
     ),
-    ("dwell = [30]", "dwell = 30", "timetable.dwell", "30", None, "a list"),
+    ("dwell = [30]", "dwell = 30", "timetable.dwell", "30", None, "a list in brackets, [ ]"),
     ('unit = "s"', 'unit = "days"', "timetable.unit", "days", None, "time in s, min, h"),
     ("distance = 5", "distance = -1", "movement_authority.distance", "-1", "m", "0 to 300 m"),
     ("distance = 5", "length = 5", "movement_authority.length", None, None, "distance, release_speed"),
@@ -377,3 +377,14 @@ def test_a_file_of_another_kind_is_said_to_be_one(tmp_path):
     path.write_text(json.dumps(samples.train()))
     with pytest.raises(InputError, match="describes a trainset, not a line"):
         load_line(path)
+
+
+def test_a_trainset_whose_mass_has_the_wrong_unit_is_not_driven(tmp_path):
+    """Its look-ahead filled the memory of the machine."""
+    path = tmp_path / "kg.toml"
+    write_trainset(load_trainset("dkz32"), path)
+    text = path.read_text(encoding="utf-8")
+    assert 'loads = "t"' in text
+    path.write_text(text.replace('loads = "t"', 'loads = "kg"', 1), encoding="utf-8")
+    with pytest.raises(InputError, match=r"mass.loads.AW0: lighter than its traction allows.*>= 20300 kg"):
+        load_trainset(path)

@@ -5,13 +5,13 @@ The CLI, the docs and the run record are derived from them; :mod:`metropilot.lea
 
 from __future__ import annotations
 
-import difflib
 import math
 from abc import ABC
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields, is_dataclass, replace
 from typing import Any, ClassVar, Literal, get_args, get_origin, get_type_hints
 
+from metropilot._registry import did_you_mean
 from metropilot._schema import FieldSpec, Range, declare, field_specs
 from metropilot.errors import InputError
 from metropilot.learn.networks import Initialiser
@@ -421,8 +421,7 @@ def config_to_mapping(config: AbstractConfig) -> dict[str, Any]:
 def _read(key: str, value: Any, hints: Mapping[str, Any]) -> Any:
     """One value as the type of its field."""
     if key not in hints:
-        near = difflib.get_close_matches(key, hints, n=1, cutoff=0.0)[0]
-        raise InputError(f"unknown key, the nearest is {near!r}", field=str(key))
+        raise InputError(f"unknown key{did_you_mean(key, hints)}", field=str(key), allowed=", ".join(hints))
     if not _countable(value):
         raise InputError("out of range", field=key, allowed=f"whole numbers below {LARGEST:.0e}")
     return _convert(key, value, hints[key])

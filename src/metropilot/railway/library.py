@@ -277,7 +277,7 @@ def parse_trainset(key: str | Path) -> TrainsetKey:
         for name, value in zip(("dead time", "lag"), late, strict=True):
             if not value <= ACTUATION_TIME.high:
                 raise InputError(f"{name} out of range", field="trainset", value=text, allowed=allowed)
-    return TrainsetKey(match["id"], late, match["load"] or None)
+    return TrainsetKey(match["id"], late, match["load"])
 
 
 def load_trainset(id_or_path: str | Path, load: str | None = None) -> Trainset:
@@ -300,6 +300,7 @@ def load_trainset(id_or_path: str | Path, load: str | None = None) -> Trainset:
         trainset = drawn_trainset(int(drawn[1]), int(drawn[2]))
     else:
         trainset = _load(key.id, "trainsets", "trainset", Trainset)
+        trainset.check_masses(key.id)
     load = key.load if load is None else load
     if key.actuation is not None:
         delay_s, lag_s = key.actuation

@@ -288,7 +288,12 @@ class Line(CatalogueRecord):
             if table and len(table) != length:
                 each = "section" if length == len(stops) - 1 else "station on the way"
                 allowed = f"{length}, one for each {each}"
-                raise InputError("wrong length", field=f"timetable.{name}", value=len(table), allowed=allowed)
+                raise InputError(
+                    "wrong length",
+                    field=f"timetable.{TIMETABLE_KEYS[name]}",
+                    value=len(table),
+                    allowed=allowed,
+                )
         slowest = float(self.limit_mps.value.min())
         if not slowest > 0:
             raise InputError(
@@ -377,6 +382,8 @@ def _key(text: str) -> str:
     return "".join(ch for ch in text.casefold() if ch.isalnum())
 
 
+TIMETABLE_KEYS = {"planned_forward_s": "forward", "planned_backward_s": "backward", "dwell_s": "dwell"}
+"""What the fields are called in a file."""
 LONGEST_M = 1.2e5
 """Longest run between two stops: grids of a metre are made of it, and no metro has a longer one."""
 BEYOND_M = 1e6

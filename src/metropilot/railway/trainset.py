@@ -22,6 +22,8 @@ POSITIVE_FIELDS = (
     "adhesion",
     "gravity_mps2",
 )
+LARGEST_PULL_MPS2 = 10.0
+"""Traction over mass: more than its weight no trainset pulls; kg for t, or N for kN, is far beyond."""
 
 
 @dataclass(frozen=True)
@@ -184,6 +186,29 @@ class Trainset(CatalogueRecord):
                     value=mass,
                     unit="kg",
                     allowed="> 0 kg",
+                )
+
+    def check_masses(self, file: str) -> None:
+        """Refuse a load that is lighter than the traction allows: its unit is wrong, or that of the force.
+
+        Args:
+            file: Name of the trainset in the error.
+
+        Raises:
+            InputError: Naming the load, its mass and the least one.
+        """
+        speeds = np.linspace(0.0, self.max_speed_mps, 33)
+        largest = float(np.max(self.traction.at(speeds)))
+        least = largest / LARGEST_PULL_MPS2
+        for load, mass in self.loads.items():
+            if mass < least:
+                raise InputError(
+                    "lighter than its traction allows: is a unit wrong?",
+                    file=file,
+                    field=f"mass.loads.{load}",
+                    value=float(mass),
+                    unit="kg",
+                    allowed=f">= {least:.6g} kg with the traction of {largest / 1e3:g} kN",
                 )
 
     @property

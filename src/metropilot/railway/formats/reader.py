@@ -139,7 +139,7 @@ class Node:
             return list(default)
         value = self.require(key, "a list")
         if not isinstance(value, list):
-            raise self.fail("must be a list", key, value, "a list")
+            raise self.fail("must be a list", key, value, "a list in brackets, [ ]")
         return value
 
     def text(self, key: str, default: str | None = None, *, allowed: str = "text that is not empty") -> str:

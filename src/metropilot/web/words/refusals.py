@@ -39,7 +39,6 @@ REFUSALS = (
 SENTENCES = (
     N_("unknown {what}, did you mean {name}?"),
     N_("unknown {what}"),
-    N_("unknown key, the nearest is {name}"),
     N_("cannot be read ({reason})"),
     N_("not TOML ({reason})"),
     N_("not CSV ({reason})"),
