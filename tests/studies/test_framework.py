@@ -1,6 +1,7 @@
 """The frame of every study: rows, pages, learning runs that are kept and resumed, the command."""
 
 import json
+import os
 from functools import partial
 from pathlib import Path
 
@@ -91,7 +92,7 @@ def test_reproduce_writes_report_page_and_figures(only_some_study, tmp_path, cap
         (["some2020", "--reference", "square"], "s_curve, optimal"),
         (["some2020", "--set", "colour=red"], "reference"),
         (["some2020", "--set", "colour"], "NAME=VALUE"),
-        (["some2020", "--seeds", "0"], "greater than or equal to 1"),
+        (["some2020", "--seeds", "0"], "--seeds: out of range"),
     ],
 )
 def test_what_cannot_be_done_is_one_line(only_some_study, tmp_path, capsys, arguments, said):
@@ -125,6 +126,20 @@ def test_learning_runs_are_kept_and_not_done_twice(tmp_path: Path):
     )
     changed = LearnJob("small", SMALL, DoubleIntegrator, 0, about={"task": "another"})
     assert not studies.learning.is_done(changed, tmp_path)
+
+
+def _noting_task(file: Path) -> DoubleIntegrator:
+    """Make the task, and note in which process."""
+    file.write_text(str(os.getpid()))
+    return DoubleIntegrator()
+
+
+def test_a_single_learning_run_has_a_process_of_its_own(tmp_path: Path):
+    """XLA crashes a process in which Ctrl-C ends a learning run."""
+    noted = tmp_path / "process.txt"
+    jobs = [LearnJob("small", SMALL, partial(_noting_task, noted), 0)]
+    learn_seeds(jobs, tmp_path, processes=1)
+    assert int(noted.read_text()) != os.getpid()
 
 
 def test_two_runs_of_one_name_and_seed_are_refused(tmp_path):

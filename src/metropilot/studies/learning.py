@@ -120,7 +120,14 @@ def learn_seeds(
     if todo:
         say(f"{len(jobs) - len(todo)} of {len(jobs)} learning runs are there, {len(todo)} to do")
         with environment(ONE_THREAD):
-            pool = Parallel(n_jobs=min(processes, len(todo)), backend="loky", return_as="generator_unordered")
+            # of a single job joblib makes no process, and XLA does not survive Ctrl-C in this one
+            pool: Any = Parallel(
+                n_jobs=max(min(processes, len(todo)), 2),
+                backend="loky",
+                return_as="generator_unordered",
+                batch_size=1,  # pyright: ignore[reportArgumentType]
+                pre_dispatch=str(processes),
+            )
             for number, line in enumerate(pool(delayed(_learn)(job, folder) for job in todo), 1):
                 say(f"{number} of {len(todo)}: {line}")
     return [_read(job, folder) for job in jobs]
