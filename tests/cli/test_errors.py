@@ -4,8 +4,11 @@ import gc
 import inspect
 import json
 import os
+import subprocess
+import sys
 import time
 from importlib import import_module
+from pathlib import Path
 from typing import get_args
 
 import pytest
@@ -23,7 +26,20 @@ BAD = [
     (("drive", "nowhere.toml", "RJ", "WYJ"), "nowhere.toml"),
     ((*RUN, "--time", "nan"), "time"),
     ((*RUN, "--time", "-5"), "time"),
-    ((*RUN, "--time", "abc"), "valid number"),
+    ((*RUN, "--time", "abc"), "--time: not a number: 'abc' (allowed: a number without its unit, e.g. 1.5)"),
+    ((*RUN, "--time", "101s"), "--time: not a number: '101s'"),
+    ((*RUN, "--seed", "1.5"), "--seed: not a whole number: '1.5'"),
+    (("line", "yizhuang", "--scatter", "500"), "--scatter: out of range: '500' (allowed: <= 300)"),
+    (("runs", "--most", "0"), "--most: out of range: '0' (allowed: >= 1)"),
+    ((*RUN, "--trainset", "dkz32:"), "--trainset: unknown load: 'dkz32:' (allowed: AW0, AW2, AW3)"),
+    (("compare", "yizhuang", "RJ", "WYJ", "--drivers", "pid:tuned"), "--drivers: not an option of a driver"),
+    (
+        ("compare", "yizhuang", "RJ", "WYJ", "--drivers", "learned"),
+        "--set policy=PATH or learned:policy=PATH",
+    ),
+    (("reproduce", "chen2023a", "--reference", "optimal"), "--reference: the study has none: 'optimal'"),
+    (("show", "nowhere.toml"), "nowhere.toml: cannot be read (No such file or directory)"),
+    (("show", "."), ".: no run in the folder (allowed: the folder of a run"),
     ((*RUN, "--time", "10"), "minimum running time is"),
     ((*RUN, "--trainset", "dkz23"), "dkz32"),
     ((*RUN, "--load", "AW9"), "AW0, AW2, AW3"),
@@ -362,6 +378,26 @@ def test_interrupted_where_python_drops_it(metropilot, monkeypatch):
 
     monkeypatch.setattr(catalogue, "lines_command", collect)
     assert metropilot("lines") == (130, "", "metropilot: interrupted\n")
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no such device")
+@pytest.mark.parametrize(
+    "arguments", [("lines",), ("lines", "--json"), ("show", "dkz32", "--json"), ("nothing", "--json")]
+)
+def test_output_that_cannot_be_written_is_one_line(arguments):
+    command = [Path(sys.executable).with_name("metropilot"), *arguments]
+    with Path("/dev/full").open("w") as full:
+        done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, check=False)
+    assert done.returncode == (2 if "nothing" in arguments else 1)
+    assert done.stderr.count("\n") == 1
+    assert done.stderr.startswith("metropilot: ")
+    assert "internal" not in done.stderr
+
+
+def test_the_help_states_ranges_of_whole_numbers_too(metropilot):
+    said = " ".join(metropilot("line", "--help").out.replace("│", " ").split())
+    assert "10 to 7200 s" in said
+    assert "9223372036854775807" not in " ".join(metropilot("drive", "--help").out.split())
 
 
 def test_a_closed_pipe_is_no_error(program):

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import _thread
+import errno
 import os
 import re
 import sys
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from importlib import import_module
 from itertools import pairwise
 from threading import Timer
@@ -78,6 +79,7 @@ def main(argv: Sequence[str] | None = None) -> NoReturn:
     try:
         with _lost_interrupts_again():
             code = _run(arguments)
+            sys.stdout.flush()
     except (KeyboardInterrupt, typer.Abort) as error:
         code = _fail(str(error) or "interrupted", INTERRUPTED)
     except InputError as error:
@@ -93,6 +95,9 @@ def main(argv: Sequence[str] | None = None) -> NoReturn:
         if os.environ.get("METROPILOT_DEBUG") == "1":
             raise
         told = f"internal error: {type(error).__name__}: {error} (METROPILOT_DEBUG=1 shows where)"
+        if isinstance(error, OSError) and error.errno == errno.ENOSPC:
+            told = f"the output cannot be written ({error.strerror})"
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         code = _fail(told, 1, as_json="--json" in arguments)
     sys.exit(code)
 
@@ -139,6 +144,10 @@ def _run(arguments: list[str]) -> int:
         code = app(arguments or ["--help"], prog_name="metropilot", standalone_mode=False)
     except InputError as error:
         raise _as_option(error, app, wanted) from error
+    except typer.BadParameter as error:
+        if (problem := _bad_value(error)) is None:
+            raise
+        raise problem from error
     if not arguments:
         return BAD_INPUT
     if code == INTERRUPTED:
@@ -182,6 +191,25 @@ def _as_option(error: InputError, app: typer.Typer, command: str | None) -> Inpu
     return error
 
 
+def _bad_value(error: typer.BadParameter) -> InputError | None:
+    """The error of a value that is no number, or outside a range; None if it is another one."""
+    found = getattr(error.__cause__, "errors", list)()
+    options = getattr(error.param, "opts", ())
+    if not found or not options:
+        return None
+    kind, bounds = str(found[0]["type"]), found[0].get("ctx", {})
+    signs = {"ge": ">=", "gt": ">", "le": "<=", "lt": "<"}
+    limits = [f"{sign} {bounds[name]:g}" for name, sign in signs.items() if name in bounds]
+    about = {"field": options[-1], "value": found[0]["input"]}
+    if limits:
+        return InputError("out of range", **about, allowed=limits[0])
+    if kind.startswith("int"):
+        return InputError("not a whole number", **about, allowed="a whole number")
+    if kind.startswith("float"):
+        return InputError("not a number", **about, allowed="a number without its unit, e.g. 1.5")
+    return None
+
+
 def _stub() -> None:
     """Placeholder of a command in the help, never called."""
 
@@ -218,6 +246,7 @@ def _fail(line: str, code: int, error: InputError | None = None, *, as_json: boo
         if shape["field"]:
             shape["field"] = shape["field"].removeprefix("--")
         message = error.message if error else line
-        sys.stdout.write(json.dumps({"error": {"message": message, **shape}}, default=str) + "\n")
+        with suppress(OSError):  # a full disk, which the line tells
+            sys.stdout.write(json.dumps({"error": {"message": message, **shape}}, default=str) + "\n")
     sys.stderr.write(f"metropilot: {' '.join(line.split())}\n")
     return code

@@ -90,7 +90,8 @@ def compare_and_report(
     from metropilot.evaluate import compare, jobs, make_driver, parse_driver, write_comparison
 
     for name in names:
-        of_options = {f"set {key}": f"drivers {key}" for key in parse_driver(name)[1]}
+        with rename_fields({"driver": "drivers", "set": "drivers"}):
+            of_options = {f"set {key}": f"drivers {key}" for key in parse_driver(name)[1]}
         with rename_fields({"driver": "drivers", "set": "drivers", **of_options}):
             make_driver(name)
     if out is not None:

@@ -20,6 +20,8 @@ UNIT = re.compile(r"_(s|m|mps|mps2|mps3|mb)$")
 """Unit suffixes of field names, absent from option names."""
 INTERRUPTED = 130
 """Exit code."""
+ENDLESS = 10**9
+"""A highest whole number that the help leaves out: that of a seed."""
 ABOUT, WORLD, OUTPUT = "What to drive", "Disturbances", "Output"
 ABOUT_FIELDS = ("time_s", "trainset", "load", "driver", "options", "objective", "dt_s")
 
@@ -184,7 +186,7 @@ def option_of(name: str, spec: FieldSpec, kind: type, default: Any, panel: str) 
     option = typer.Option(
         flag,
         help=f"{spec.help.rstrip('.')}, {spec.describe_allowed()}."
-        if spec.range and kind is float
+        if spec.range and (kind is float or spec.range.high < ENDLESS)
         else spec.help,
         metavar=spec.form or None,
         rich_help_panel=panel,

@@ -63,8 +63,12 @@ def reproduce_command(
     from metropilot import studies
     from metropilot._io import check_writable
 
-    given = _pairs(options) | ({"reference": reference} if reference is not None else {})
     found = studies.STUDIES.get(study)
+    given = _pairs(options)
+    if reference is not None:
+        if "reference" not in found.options:
+            raise InputError("the study has none", field="reference", value=reference, allowed="no reference")
+        given["reference"] = reference
     folder = out or Path("studies") / f"{study}-{budget}"
     order = studies.Order(
         folder=folder / "runs",

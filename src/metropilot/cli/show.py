@@ -59,10 +59,12 @@ def show_command(
             return show_driver(registry, what, as_json=as_json)
     if (Path(what) / "run.toml").is_file():
         return show_run_folder(Path(what), as_json=as_json)
-    if Path(what).exists():
+    if Path(what).is_file() or Path(what).suffix in {".toml", ".json", ".safetensors"}:
         return show_file(Path(what), as_json=as_json)
     if (found := find_user_run(what)) is not None:
         return show_learning_run(*found, as_json=as_json)
+    if Path(what).is_dir():
+        raise InputError("no run in the folder", file=what, allowed="the folder of a run, with run.toml")
     known = (*list_lines(), *list_trainsets(), *DRIVERS.ids(), *FOLLOWERS.ids())
     raise InputError(
         f"unknown name{did_you_mean(what, known)}",

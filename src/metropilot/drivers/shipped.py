@@ -116,7 +116,9 @@ class FromFile(AbstractPolicyDriver):
     def path(self) -> Path:
         """The file given."""
         if not self.options.policy:
-            allowed = "--set policy=PATH, a policy file, or the folder or id of a learning run"
+            allowed = (
+                "--set policy=PATH or learned:policy=PATH, a policy file, or a learning run (folder or id)"
+            )
             raise InputError("the driver learned needs a policy", field="policy", allowed=allowed)
         return Path(self.options.policy)
 

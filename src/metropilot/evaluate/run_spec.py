@@ -379,6 +379,9 @@ def parse_driver(text: str) -> tuple[str, dict[str, Any]]:
         InputError: The text after the colon is not an option.
     """
     driver_id, *options = re.split(r":(?=\w+=)", text)
+    driver_id, colon, rest = driver_id.partition(":")
+    if colon:
+        raise InputError("not an option of a driver", field="driver", value=rest, allowed="ID:NAME=VALUE")
     return driver_id, dict(map(parse_option, options))
 
 

@@ -73,7 +73,7 @@ class OperationOptions:
     )
     dwell_window_s: int = declare(
         10,
-        "Most by which the timetable may change a dwell.",
+        "Most by which a search may change a dwell.",
         unit="s",
         low=0.0,
         high=300.0,
@@ -82,7 +82,7 @@ class OperationOptions:
     )
     time_window_s: int = declare(
         4,
-        "Most by which the timetable may change a running time.",
+        "Most by which a search may change a running time.",
         unit="s",
         low=0.0,
         high=60.0,
