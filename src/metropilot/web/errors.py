@@ -46,8 +46,9 @@ def detail_of(error: Exception) -> dict[str, Any]:
 
 OFFERS = {
     ", or a path ending in .toml or .json": "",
-    "--set policy=PATH or learned:policy=PATH, a policy file, or a learning run (folder or id)": "the id of a learning run "
-    "or of an uploaded policy",
+    "--set policy=PATH or learned:policy=PATH, a policy file, or a learning run (folder or id)": (
+        "the id of a learning run or of an uploaded policy"
+    ),
 }
 """What the library allows and a request cannot send: no file of the server is named over HTTP."""
 
