@@ -77,7 +77,7 @@ def test_protection_gives_the_same_verdict_on_every_command(driver):
                 [0.0, rng.uniform(0.0, 26.0), float(np.interp(position, *permitted_of(guard)))]
             )
             if rng.random() < 0.03:
-                position, speed = rng.choice([np.nan, np.inf, -np.inf, 3.0], 2)
+                position, speed = rng.choice([np.nan, np.inf, -np.inf, 3.0, -3.0, -300.0], 2)
             share, asked = rng.choice([*COMMANDS, rng.uniform(-1.0, 1.0)]), bool(rng.random() < 0.02)
             with np.errstate(all="ignore"):
                 command, memory, verdict = supervise(

@@ -161,7 +161,19 @@ def test_what_is_out_of_range_is_clipped_and_counted():
     assert ride.memory.interventions == 0
 
 
-@pytest.mark.parametrize("seen", [(np.nan, 10.0), (300.0, np.nan), (300.0, np.inf), (-np.inf, 3.0)])
+LOST = [
+    (np.nan, 10.0),
+    (300.0, np.nan),
+    (300.0, np.inf),
+    (-np.inf, 3.0),
+    (300.0, -3.0),
+    (300.0, -1e300),
+    (-400.0, 3.0),
+]
+"""Position and speed that cannot be: no numbers, a speed backward, a place before the map."""
+
+
+@pytest.mark.parametrize("seen", LOST)
 def test_a_lost_measurement_is_an_emergency(seen):
     ride = Ride(v=10.0, x=300.0)
     command, memory, verdict = supervise(
@@ -170,6 +182,14 @@ def test_a_lost_measurement_is_an_emergency(seen):
     assert command.emergency
     assert LEVELS[verdict.level] == "emergency brake"
     assert memory.emergencies == 1
+
+
+@pytest.mark.parametrize("seen", [(300.0, -0.04), (0.0, 0.0), (-45.0, 0.0), (300.0, 10.0)])
+def test_a_measurement_that_can_be_is_believed(seen):
+    ride = Ride()
+    command, _, verdict = supervise(ride.protection, ride.memory, *map(np.float64, seen), Command(0.5, False))
+    assert not command.emergency
+    assert verdict.level == 0
 
 
 def test_the_emergency_brake_holds_until_standstill_and_then_lets_go():

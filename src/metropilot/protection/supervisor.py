@@ -30,7 +30,8 @@ EXPECTED_MPS = 0.02
 FELT_SHARE = 0.2
 """Share of a command that a lag leaves when it counts as over."""
 STANDSTILL_MPS = 0.05
-"""At or below this measured speed, plus its error, the emergency brake is released."""
+"""At or below this measured speed, plus its error, the emergency brake is released; a speed further below
+zero is no measurement."""
 
 
 def supervise(
@@ -49,8 +50,8 @@ def supervise(
     brake is still in time: that is the guarantee, by induction. Before that, the driver's command must leave
     time for the service brake, as the nominal plant has it; this only spares the emergency brake. The
     emergency brake stays on until standstill. A command that is not a finite number is a full service brake,
-    one out of range is clipped, and a measurement that is not finite brings the emergency brake, as does a
-    position beyond the end of the movement authority.
+    one out of range is clipped, and a measurement that is not finite brings the emergency brake, as do a
+    speed below zero, a position before the map, and one beyond the end of the movement authority.
 
     Behind another trainset the authority moves: the same brake must also keep clear of that trainset, however
     hard it brakes within what is declared of it (see :mod:`metropilot.protection.separation`).
@@ -211,11 +212,14 @@ class CommandCheck:
     ) -> None:
         self.xp = xp = namespace(protection.start_m, position_m)
         self.protection, self.memory = protection, memory
-        known = xp.abs(position_m) < float("inf")
-        moving = xp.abs(speed_mps) < float("inf")
+        # what is before the map or runs backward is no measurement either: it would permit too much
+        known = (position_m >= protection.start_m - protection.spacing_m) & (position_m < float("inf"))
+        forward = (speed_mps >= -(STANDSTILL_MPS + protection.rates.speed_error_mps)) & (
+            speed_mps < float("inf")
+        )
         position = xp.where(known, position_m, protection.start_m)
-        self.speed_mps = speed_mps = xp.where(moving, speed_mps, 0.0)
-        self.measured = known & moving
+        self.speed_mps = speed_mps = xp.where(forward, speed_mps, 0.0)
+        self.measured = known & forward
         self.ahead, self.position_m = ahead, position
         self.node, self.way = on_grid(protection, position)
         self.first_m = protection.start_m + protection.spacing_m * _like(position, self.node) - position
