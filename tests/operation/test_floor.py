@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from tests.operation.lines import TRAINSET, short_line
 
+from metropilot.errors import Infeasible
 from metropilot.operation import (
     LineOperation,
     OperationOptions,
@@ -19,7 +20,14 @@ from metropilot.operation import (
 )
 from metropilot.operation.floor import _meeting, _Windows
 from metropilot.physics import track_arrays, vehicle_arrays
-from metropilot.planning import PlanOptions, ReceivedEnergy, Receiver, cruise_plan, plan_arrays
+from metropilot.planning import (
+    PlanOptions,
+    ReceivedEnergy,
+    Receiver,
+    cruise_plan,
+    minimum_running_time,
+    plan_arrays,
+)
 from metropilot.railway import Efficiency
 
 STATIONS, WINDOW_S = 4, 1
@@ -192,3 +200,16 @@ def test_the_slope_is_below_the_energy_of_other_running_times():
     for change_s in (-4.0, 4.0, 10.0):
         there = ReceivedEnergy(vehicle, track, time_s + change_s).bound(120e3, case)
         assert here.bound_j - here.second_w * change_s <= there.bound_j * (1 + 1e-6)
+
+
+@pytest.mark.parametrize("length_m", [221.0, 228.0, 235.0])
+def test_the_minimum_running_time_has_a_bound_and_a_drive_on_a_coarser_mesh(length_m):
+    section = replace(short_line(STATIONS).sections()[1], length_m=length_m)
+    least_s = minimum_running_time(section, TRAINSET) + 1e-3
+    energy = ReceivedEnergy(vehicle_arrays(TRAINSET), track_arrays(section, TRAINSET), least_s)
+    assert least_s < energy.clock_s[-1] < least_s * 1.001, "a hair later"
+    assert energy.bound(0.0, [EVERYBODY]).bound_j <= energy.bound(0.0, []).bound_j
+    driven = cruise_plan(section, TRAINSET, least_s)
+    assert least_s < driven.running_time_s < least_s * 1.001
+    with pytest.raises(Infeasible, match="minimum running time"):
+        cruise_plan(section, TRAINSET, least_s - 0.01)

@@ -78,7 +78,7 @@ class ExchangeTrip:
     ) -> None:
         energy = ReceivedEnergy(vehicle, track, time_s)
         self.time_s = time_s
-        self.programme, self.flat_s = energy.programme, energy.clock_s
+        self.programme, self.flat_s, self._bounds = energy.programme, energy.clock_s, energy.in_time
         self.mass_kg = float(self.programme.table.mass_kg)
         # near the minimum running time only the curves about the flat-out run have a drive in time
         found = {
@@ -114,8 +114,7 @@ class ExchangeTrip:
 
     def in_time(self, change_s: int) -> Programme:
         """Programme of another running time."""
-        bounds = (TimeBound(0, self.programme.mesh.length_m.size, None, self.time_s + change_s),)
-        return replace(self.programme, bounds=bounds)
+        return replace(self.programme, bounds=self._bounds(self.time_s + change_s))
 
     @property
     def edges_m(self) -> Float[ndarray, " edges"]:
@@ -136,8 +135,7 @@ class ExchangeTrip:
             asked_s = planned_s - early_s
             if asked_s < SPARE * flat_s + 0.2:
                 break
-            whole = TimeBound(0, self._clock_s.size - 1, None, self.time_s)
-            bounds = whole, TimeBound(first, last, None, asked_s)
+            bounds = *self._bounds(self.time_s), TimeBound(first, last, None, asked_s)
             answer, _ = solve_until_settled(replace(self.programme, bounds=bounds), self.energies[0])
             whole_w, part_w = (second * self.mass_kg for second in answer.seconds)
             found.append(_Probe(asked_s, answer.dual * self.mass_kg, part_w, whole_w))

@@ -16,7 +16,13 @@ from metropilot.planning.effort_table import specific
 from metropilot.planning.fastest import fastest_profile, relaxed_cap, times
 from metropilot.planning.loads import build_loads
 from metropilot.planning.mesh import build_mesh
-from metropilot.planning.optimal import Plan, PlanOptions, evaluate_profile, solve_until_settled
+from metropilot.planning.optimal import (
+    MESH_TOLERANCE,
+    Plan,
+    PlanOptions,
+    evaluate_profile,
+    solve_until_settled,
+)
 from metropilot.planning.prices import prices_at
 
 
@@ -80,8 +86,16 @@ class ReceivedEnergy:
             start_mps=0.0,
             end_mps=0.0,
             cap_mps=relaxed_cap(table, mesh, 0.0),
-            bounds=(TimeBound(0, mesh.length_m.size, None, time_s),),
+            bounds=self.in_time(time_s),
         )
+
+    def in_time(self, time_s: float) -> tuple[TimeBound]:
+        """Bound on the running time; on this mesh the flat-out run may take a hair longer than the minimum.
+
+        More time than asked for never makes the least energy more.
+        """
+        kept_s = max(time_s, float(self.clock_s[-1]) * (1.0 + MESH_TOLERANCE))
+        return (TimeBound(0, self.clock_s.size - 1, None, kept_s),)
 
     def plan(self, own_w: float, receivers: Iterable[Receiver] = ()) -> Plan:
         """Plan of least net energy; its ``energy_j`` counts all that it returns as received."""
