@@ -8,7 +8,7 @@ import pytest
 from metropilot.drivers import DRIVERS
 from metropilot.evaluate import RunSpec
 from metropilot.planning import minimum_running_time
-from metropilot.railway import Actuation, load_line, load_trainset
+from metropilot.railway import Actuation, Line, Station, Steps, load_line, load_trainset
 from metropilot.sim import Disturbance, Outcome, Run, drive
 
 PLACES = {
@@ -143,6 +143,31 @@ def test_a_dead_time_of_half_a_long_period_is_reckoned_with(driver, trainset, ac
     assert done.outcome is Outcome.ARRIVED
     assert done.interventions == 0
     assert abs(float(done.trajectory.position_m[-1]) - section.length_m) <= 0.1
+
+
+@pytest.mark.parametrize(
+    ("driver", "trainset", "actuation", "length_m", "time_s"),
+    [
+        ("optimal", "dkz32", (0.7, 0.55, 1.3), 200.0, 39.6),
+        ("mpc", "cheng2023", (0.7, 0.55, 1.3), 600.0, 67.9),
+        ("generalist", "dkz32", (0.7, 0.55, 1.3), 200.0, 39.6),
+        ("pid", "cn_beijing_subway", (0.88, 0.47, 0.51), 1228.0, 90.0),
+        ("flat_out", "cn_beijing_subway", (0.88, 0.47, 0.51), 1228.0, 90.0),
+    ],
+)
+def test_a_lag_leaves_no_more_of_the_brake_at_the_stand_than_the_jerk_limit_lets_go(
+    driver, trainset, actuation, length_m, time_s
+):
+    """The jerk at the stop was 1.17, 1.19, 1.02, 1.24 and 1.37 times the limit."""
+    level = Steps(np.zeros(1), np.zeros(1))
+    stations = (Station("A", "Alpha", 0.0), Station("B", "Beta", length_m))
+    limit = Steps(np.zeros(1), np.array([80.0 / 3.6]))
+    section = Line("level", "level", stations, limit, level).section("A", "B")
+    late = replace(load_trainset(trainset), actuation=Actuation(*actuation))
+    done = drive(Run(section, late, time_s, dt=0.1), DRIVERS.make(driver))
+    assert np.abs(done.trajectory.jerk_mps3).max() <= 1.001 * actuation[2]
+    assert abs(done.trajectory.position_m[-1] - length_m) <= 0.02
+    assert done.interventions == 0
 
 
 def test_a_lag_that_is_not_declared_is_allowed_for_in_the_last_brake():

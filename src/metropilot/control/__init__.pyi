@@ -69,6 +69,7 @@ from .stopping import required_deceleration as required_deceleration
 from .stopping import required_later as required_later
 from .stopping import required_with_build_up as required_with_build_up
 from .stopping import settle as settle
+from .stopping import share_to_stand as share_to_stand
 from .stopping import stand as stand
 from .stopping import start_command as start_command
 from .stopping import start_on_fall as start_on_fall

@@ -77,6 +77,7 @@ class StopOptions:
             period.
         drop_share: Largest deceleration in the last period, over the same; below 1, as standstill seldom
             coincides with the end of a period.
+        left_share: Deceleration at the stand, over the same, beyond which a lag is compensated in full.
         return_gain: Correction of a departure from the planned deceleration, beyond what the stop needs.
         at_once_gain: The same for a trainset without a jerk limit.
         inch_m: Distance to the target below which a trainset at standstill is not moved again, m.
@@ -100,6 +101,7 @@ class StopOptions:
     release_share: Scalar = 0.5
     end_share: float = 0.25
     drop_share: float = 0.6
+    left_share: float = 0.95
     return_gain: float = 0.5
     at_once_gain: float = 0.5
     inch_m: float = 0.2
@@ -533,7 +535,42 @@ def stop_command(
     required = later = float(demand.required_mps2)
     if _comes_near(required, curve, ahead):
         later = required_later(ahead, distance, curve, model.dt, options)
-    return Stop(ahead.share_for(-demand.wanted_mps2), required, later, ahead, distance)
+    share = _share_in(model, ahead, -demand.wanted_mps2, options)
+    return Stop(share, required, later, ahead, distance)
+
+
+def _share_in(model: Model, ahead: PredictedState, wanted_mps2: float, options: StopOptions) -> float:
+    """:func:`share_to_stand` for a declared lag; one that is only estimated is not compensated in full."""
+    if float(model.vehicle.lag_s) <= 0.0:
+        return ahead.share_for(wanted_mps2)
+    return share_to_stand(ahead, wanted_mps2, float(model.vehicle.jerk_mps3), model.dt, options)
+
+
+def share_to_stand(
+    ahead: PredictedState,
+    wanted_mps2: float,
+    jerk_mps3: float,
+    dt: float,
+    options: StopOptions = STOP_OPTIONS,
+) -> float:
+    """Compute the command for an acceleration wanted on the way to a stand.
+
+    No later period makes up for what a lag leaves of the brake in the last one: where that is more than the
+    jerk limit lets drop, the lag is compensated in full.
+
+    Args:
+        ahead: State when the command begins to act.
+        wanted_mps2: Acceleration wanted.
+        jerk_mps3: Jerk limit.
+        dt: Control period, s.
+        options: Constants of the stop.
+    """
+    share, drop = ahead.share_for(wanted_mps2), jerk_mps3 * dt
+    acting = min(share + (ahead.share - share) * ahead.keep, 0.0)
+    left = ahead.resistance_mps2 + ahead.gradient_mps2 - acting * ahead.brake_mps2
+    left = max(left, -ahead.acceleration_mps2 - drop)
+    stands_hard = left > options.left_share * drop and ahead.speed_mps <= left * dt
+    return ahead.share_for(wanted_mps2, lead=1.0) if stands_hard else share
 
 
 @no_type_check
@@ -780,7 +817,7 @@ def stand(
         creep_m,
         options,
     )
-    return ahead.share_for(wanted) if settles else stop.share
+    return _share_in(model, ahead, wanted, options) if settles else stop.share
 
 
 @no_type_check

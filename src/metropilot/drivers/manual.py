@@ -26,6 +26,7 @@ from metropilot.control import (
     PredictedState,
     StateEstimate,
     StopCurve,
+    StopOptions,
     ceiling_acceleration,
     ceiling_of,
     coast_point_for,
@@ -62,6 +63,8 @@ SPARE_SHARE = 0.9
 """A brake of which a human uses no more than this share has something to spare."""
 HUMAN_MARGIN_MPS = 0.7
 LATE_S = 1.0
+BY_HAND = StopOptions(left_share=math.inf)
+"""By hand nobody lets go of a brake in the last tenth of a second."""
 LEAST_MPS2 = 0.1
 """Least deceleration to plan a stop with."""
 
@@ -253,7 +256,7 @@ def _decide(memory: ManualMemory) -> tuple[float, Intent]:
     target = memory.section.length_m + memory.habits.aim_m
     ahead = look_ahead(model, estimate)
     if intent.braking:
-        return _to_notch(stop_command(model, ahead, target, curve).share), intent
+        return _to_notch(stop_command(model, ahead, target, curve, BY_HAND).share), intent
     hand_s = max(memory.habits.reaction_s, model.dt)
     early_m = ahead.speed_mps * (hand_s + memory.habits.onset_s)
     required, _ = required_with_build_up(
@@ -268,7 +271,9 @@ def _decide(memory: ManualMemory) -> tuple[float, Intent]:
         left_m = target - ahead.position_m - early_m - 0.5 * rise_mps * hand_s
         begins = required_later(then, left_m, curve, model.dt) >= memory.at_hand_mps2
     if begins:
-        return _to_notch(stop_command(model, ahead, target, curve).share), intent._replace(braking=True)
+        return _to_notch(stop_command(model, ahead, target, curve, BY_HAND).share), intent._replace(
+            braking=True
+        )
     sooner = ahead._replace(position_m=ahead.position_m + ahead.speed_mps * hand_s)
     limited = ceiling_acceleration(model, sooner, memory.ceiling, math.inf, curve)
     if limited < -0.05:

@@ -51,6 +51,7 @@ from metropilot.control import (
     required_later,
     required_with_build_up,
     settle,
+    share_to_stand,
     stop_deceleration,
     strongest,
     weighs_load,
@@ -860,4 +861,4 @@ def stop_share(
     if actuation.lag_s > 0.0:
         settles, gently = settle(v, a, distance, ground.jerk_mps3, dt, 0.0, 0.0, LAG_STOP)
         wanted = gently if settles else wanted
-    return ahead.command_for(ahead.resistance_mps2 + wanted), True
+    return share_to_stand(ahead, wanted, ground.jerk_mps3, dt), True
