@@ -51,7 +51,8 @@ def supervise(
     time for the service brake, as the nominal plant has it; this only spares the emergency brake. The
     emergency brake stays on until standstill. A command that is not a finite number is a full service brake,
     one out of range is clipped, and a measurement that is not finite brings the emergency brake, as do a
-    speed below zero, a position before the map, and one beyond the end of the movement authority.
+    speed below zero by more than its declared error and ``STANDSTILL_MPS`` (what an odometer reads at a
+    standstill), a position before the map, and one beyond the end of the movement authority.
 
     Behind another trainset the authority moves: the same brake must also keep clear of that trainset, however
     hard it brakes within what is declared of it (see :mod:`metropilot.protection.separation`).

@@ -5,7 +5,7 @@
  * SI units throughout. Call @NAME@_init once, then @NAME@_step once in every control period of
  * @PERIOD@ s. A caller keeps the state; there is no other memory, no allocation, no recursion, and every loop
  * has a fixed bound. A measurement that is lost is NaN: the emergency brake follows, as it does on a speed below zero
- * and on a position before the map. Other numbers are trusted.
+ * (by more than 0.05 m/s and the error declared for it) and on a position before the map. Other numbers are trusted.
  */
 #ifndef @GUARD@_H
 #define @GUARD@_H
@@ -37,7 +37,7 @@ extern const @NAME@_section @NAME@_sections[@GUARD@_SECTIONS];
 typedef struct {
     @NAME@_real time_s;            /* since departure */
     @NAME@_real position_m;        /* head of the trainset, from the section's origin */
-    @NAME@_real speed_mps;         /* measured, never below zero */
+    @NAME@_real speed_mps;         /* measured; below zero only by what odometry errs */
     @NAME@_real acceleration_mps2; /* over the last period */
     @NAME@_real scheduled_s;       /* running time in force; it may change on the way */
 } @NAME@_input;
