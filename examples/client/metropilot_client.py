@@ -1103,7 +1103,8 @@ class RunningLineOut(TypedDict):
 
     ``waits`` departures waited for the train ahead, ``stops`` trains were stopped on the way behind it;
     ``recovered_s``: when every train was on time again after the last event, at ``disturbed_s``.
-    ``graph`` is null of one that an earlier version drove.
+    ``gap_percent`` is that of the whole headways, null before the first has passed. ``graph`` is null of
+    one that an earlier version drove.
     """
 
     time_s: float

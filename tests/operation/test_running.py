@@ -42,6 +42,20 @@ def test_undisturbed_it_is_its_timetable(found):
     assert told["largest_delay_s"] == pytest.approx(0.0, abs=1e-3)
     assert told["energy_kwh"] == pytest.approx(found.energy_kwh, rel=2e-3)
     assert line.floor_j == pytest.approx(found.floor_kwh * J_PER_KWH)
+    assert told["gap_percent"] == pytest.approx(100.0 * (found.energy_kwh / found.floor_kwh - 1.0), abs=0.2)
+
+
+def test_the_gap_is_that_of_whole_headways(found):
+    """Within a headway the power swings: a minute may draw less than its share of the floor."""
+    line = RunningLine(found)
+    shown = []
+    for _ in range(400):
+        line.advance()
+        shown.append(line.as_dict()["gap_percent"])
+    assert shown[:179] == [None] * 179
+    assert len(set(shown[179:359])) == len(set(shown[359:])) == 1
+    assert shown[359] == pytest.approx(shown[179], abs=0.2)
+    assert shown[179] > 0.0
 
 
 @pytest.mark.parametrize("headway_s", [120, 180])

@@ -39,6 +39,8 @@ from metropilot.web.pages.plots import (
     finished_convoy_figure,
     finished_line_figure,
     front_figure,
+    headways_figure,
+    running_figure,
 )
 from metropilot.web.pages.runs import RunList, RunsPage
 from metropilot.web.schemas.requests import (
@@ -207,6 +209,21 @@ def test_a_convoy_of_an_earlier_server_is_drawn_whole():
     assert list(drawn[7]["y"]) == pytest.approx([0.36, 0.72])
     assert [list(t["y"]) for t in drawn[12:16]] == [[0.0, 36.0]] * 3 + [[]]
     assert [t["showlegend"] for t in drawn[12:16]] == [True, True, True, False]
+
+
+def test_a_figure_without_values_has_no_made_up_numbers_on_its_axes():
+    (words,) = headways_figure({}, 180.0)["layout"]["annotations"]
+    assert words["text"] == "No headway is computed yet."
+    assert convoy_figure()["layout"]["xaxis"]["rangemode"] == "tozero"
+    running = running_figure()["layout"]
+    assert (running["xaxis"]["range"], running["yaxis"]["tickvals"]) == ([0, 10], [])
+    state = {"energy_kwh": [0.0, 1.0], "floor_kwh": [0.0, 1.0], "delay_s": [[0.0], [0.0]]}
+    stops = [{"position_m": 0.0, "code": "A"}, {"position_m": 900.0, "code": "B"}]
+    drawn = finished_line_figure(
+        {"time_s": [0.0, 1200.0], "position_m": [[0.0], [900.0]], "stops": stops, **state}
+    )
+    assert drawn["layout"]["xaxis"]["range"] == [0.0, 20.0]
+    assert drawn["layout"]["yaxis"]["ticktext"] == ["A", "B"]
 
 
 def test_what_is_under_way_for_a_page_ends_with_it():

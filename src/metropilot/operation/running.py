@@ -176,6 +176,7 @@ class RunningLine:
         trains: Trains in the order in which they follow one another.
         time_s: Time since the beginning.
         supplied_j: Energy from the substations since then.
+        gap_percent: Excess of it over the floor when the last whole headway ended; none before the first.
         news: What happened since :meth:`pop_news`, with its time.
         hardest_mps2: Hardest braking of such a stop.
         stops: Stops on the way before a train ahead, so far.
@@ -209,6 +210,7 @@ class RunningLine:
         self._expected: dict[int, tuple[ndarray, ndarray]] = {}
         self.edges_m = self._edges()
         self.time_s, self.supplied_j, self.stops, self.waits = 0.0, 0.0, 0, 0
+        self.gap_percent: float | None = None
         self.news: list[tuple[float, str]] = []
         self.disturbed_s: float | None = None
         self.recovered_s: float | None = None
@@ -329,6 +331,8 @@ class RunningLine:
             net_w[self._zone(train)] += self._move(train, until_s) / STEP_S
         self.supplied_j += float(np.maximum(net_w, 0.0).sum()) * STEP_S
         self.time_s = until_s
+        if until_s % self.headway_s < STEP_S:  # within a headway power swings about the mean
+            self.gap_percent = 100.0 * (self.supplied_j / self.floor_j - 1.0)
         self._see()
         worst = max(train.delay_s for train in self.trains)
         self.largest_delay_s = max(self.largest_delay_s, worst)
@@ -622,7 +626,7 @@ class RunningLine:
 
     @property
     def floor_j(self) -> float:
-        """Energy that no timetable of this headway undercuts, since the beginning."""
+        """Energy that no timetable of this headway undercuts over whole headways, by the time."""
         return self.found.floor_kwh * J_PER_KWH * self.time_s / self.headway_s
 
     def gaps_m(self) -> Iterator[float]:
@@ -640,7 +644,7 @@ class RunningLine:
             "trains": len(self.trains),
             "energy_kwh": self.supplied_j / J_PER_KWH,
             "floor_kwh": self.floor_j / J_PER_KWH,
-            "gap_percent": 100.0 * (self.supplied_j / self.floor_j - 1.0) if self.time_s else None,
+            "gap_percent": self.gap_percent,
             "largest_delay_s": self.largest_delay_s,
             "delay_s": sum(max(each, 0.0) for each in self.delays_s),
             "waits": self.waits,

@@ -84,7 +84,10 @@ class LineEngine(LeverlessEngine):
         told = running.as_dict()
         counts = (told["energy_kwh"], told["floor_kwh"], told["waits"], told["stops"])
         places, delays = numbers(running.positions_m, 0), numbers(running.delays_s, 0)
-        row = [round(self.time_s, 1), places, delays, *numbers(counts, 2)]
+        energy, floor, *counted = numbers(counts, 2)
+        gap = told["gap_percent"]
+        gap = None if gap is None else round(gap, 2)
+        row = [round(self.time_s, 1), places, delays, energy, floor, gap, *counted]
         self.shown.append(tuple(row[: len(GRAPH)]))
         return [*row, self.steps]
 
@@ -115,6 +118,7 @@ class LineEngine(LeverlessEngine):
                 "delay_s",
                 "energy_kwh",
                 "floor_kwh",
+                "gap_percent",
                 "waits",
                 "stops",
                 "step",

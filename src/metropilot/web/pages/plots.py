@@ -666,8 +666,8 @@ def running_figure() -> Figure:
     return figure(
         traces,
         640,
-        xaxis=axis(_("time (min)"), anchor="y3"),
-        yaxis=axis("", domain=[0.42, 1.0]),
+        xaxis=axis(_("time (min)"), anchor="y3", range=[0, 10]),
+        yaxis=axis("", domain=[0.42, 1.0], tickvals=[]),  # its stations come with the first state
         yaxis2=axis(_("delay (min)"), domain=[0.22, 0.37], rangemode="tozero"),
         yaxis3=axis(_("energy (kWh)"), domain=[0.0, 0.17], rangemode="tozero"),
         hovermode=False,
@@ -699,6 +699,7 @@ def finished_line_figure(graph: dict[str, Any]) -> Figure:
     drawn = [(minutes, sums), (minutes, graph["energy_kwh"]), (minutes, graph["floor_kwh"])]
     _fill(made, dict(enumerate([*paths, *drawn, ([minutes[-1]] * len(last) if minutes else [], last)])))
     stops = graph["stops"]
+    made["layout"]["xaxis"] |= {"range": [0.0, max([*minutes, 10.0])]}
     made["layout"]["yaxis"] |= {
         "tickvals": [s["position_m"] / 1000 for s in stops],
         "ticktext": [s["code"] for s in stops],
@@ -710,9 +711,11 @@ def headways_figure(found: dict[int, dict[str, Any]], headway_s: float) -> Figur
     """Energies and floor over the headways that are computed, with a cursor.
 
     Args:
-        found: Values of `line.json` by headway.
+        found: Values of `line.json` by headway; without any, the figure says so.
         headway_s: Headway of the cursor.
     """
+    if not found:
+        return blank(360, _("No headway is computed yet."))
     at = sorted(found)
     traces = [
         line(_(label), at, [found[h][name] for h in at], colour, dash=dash, mode="lines+markers")
@@ -772,7 +775,7 @@ def convoy_figure() -> Figure:
     return figure(
         traces,
         560,
-        xaxis=axis(_("time since departure (s)"), anchor="y3"),
+        xaxis=axis(_("time since departure (s)"), anchor="y3", rangemode="tozero"),
         yaxis=axis(_("gap (m)"), domain=[0.66, 1.0], rangemode="tozero"),
         yaxis2=axis(_("difference (km/h)"), domain=[0.36, 0.6]),
         yaxis3=axis(_("speed (km/h)"), domain=[0.0, 0.3], rangemode="tozero"),

@@ -556,8 +556,9 @@ class RunningLineOut(BaseModel):
     """A running line at its end: energy beside the floor, delays now and at most, recovery.
 
     ``waits`` departures waited for the train ahead, ``stops`` trains were stopped on the way behind it;
-    ``recovered_s``: when every train was on time again after the last event, at ``disturbed_s``. ``graph`` is
-    null of one that an earlier version drove.
+    ``recovered_s``: when every train was on time again after the last event, at ``disturbed_s``.
+    ``gap_percent`` is that of the whole headways, null before the first has passed. ``graph`` is null of one
+    that an earlier version drove.
     """
 
     time_s: float

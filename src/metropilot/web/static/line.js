@@ -21,7 +21,7 @@
       this.set("late", late.length, metropilotSay("of {count}", { count: this.now.trains }));
       this.set("worst", Math.max(0, ...last.delay_s).toFixed(0), "s");
       this.set("energy", last.energy_kwh.toFixed(0), "kWh");
-      this.set("gap", last.floor_kwh ? ((last.energy_kwh / last.floor_kwh - 1) * 100).toFixed(2) : "–", "%");
+      this.set("gap", last.gap_percent === null ? "–" : last.gap_percent.toFixed(2), "%");
       this.set("waits", last.waits);
       this.set("stops", last.stops);
       this.draw((Plotly, el) => this.grow(Plotly, el, last));
