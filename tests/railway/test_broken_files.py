@@ -60,6 +60,15 @@ LINE = [
     ("altitude = 12", 'altitude = "high"', "gradients.altitude", "high", "m", "a finite number of m"),
     ("[100, 400]", "[100, 5]", "curves.values[0].radius", "5 m", None, "a radius of 10 m or more"),
     ("[200, 300, 24]", "[200, -300, 24]", "tunnels.values[0].length", "-300", "m", "> 0 m"),
+    ("[[200, 300, 24]]", "[[200, 300, 24], [499, 10, 24]]", "tunnels[1].from", "499", "m", ">= 500 m"),
+    (
+        'radius = "m" }\nvalues = [[100, 400], [300, 0], [700, -800], [900, 0]]',
+        'curvature = "1/m" }\nvalues = [[100, 0, 0.002], [1e9, 0, 0]]',
+        "curves[0].from",
+        "100 to 1e+09",
+        "m",
+        "at most 120000 m",
+    ),
     (
         "forward = [110, 80]",
         "forward = [110]",
@@ -69,6 +78,14 @@ LINE = [
         "2, one for each section",
     ),
     ("forward = [110, 80]", "forward = [110, 0]", "timetable.forward[1]", "0", "s", "> 0 s"),
+    (
+        "forward = [110, 80]",
+        "forward = [1e300, 80]",
+        "timetable.forward[0]",
+        "1e+300",
+        "s",
+        "> 0 s and <= 86400 s",
+    ),
     (
         "dwell = [30]",
         "dwell = [30, 30]",
@@ -144,7 +161,31 @@ TRAINSET = [
         "limits.max_deceleration",
         "0",
         "m/s^2",
-        "> 0 m/s^2, or inf",
+        "0.01 to 10 m/s^2, or inf",
+    ),
+    (
+        "max_acceleration = 1",
+        "max_acceleration = 1e9",
+        "limits.max_acceleration",
+        "1000000000",
+        "m/s^2",
+        "0.01",
+    ),
+    (
+        "[energy]",
+        '[actuation]\nunits = { lag = "s" }\nlag = 30\n[energy]',
+        "actuation.lag",
+        "30",
+        "s",
+        "0 to 10 s",
+    ),
+    (
+        "[energy]",
+        '[actuation]\nunits = { jerk_limit = "m/s^3" }\njerk_limit = 0.001\n[energy]',
+        "actuation.jerk_limit",
+        "0.001",
+        "m/s^3",
+        "0.05 to 100 m/s^3, or inf",
     ),
     (
         "max_deceleration = 1.1",
@@ -365,6 +406,14 @@ def test_what_is_no_document_at_all(tmp_path, name, content, words):
     if content is not None:
         path.write_bytes(content)
     assert words in complaint(path)
+
+
+def test_tunnels_may_touch_and_the_first_row_holds_before_it(tmp_path):
+    path = tmp_path / "line.toml"
+    path.write_text(samples.LINE.replace("[[200, 300, 24]]", "[[200, 300, 24], [500, 10, 40]]"))
+    line = load_line(path)
+    assert [tunnel.from_m for tunnel in line.tunnels] == [200.0, 500.0]
+    assert line.limit_mps.at(-150.0) == line.limit_mps.at(0.0) == pytest.approx(50 / 3.6)
 
 
 def test_a_folder_is_no_file(tmp_path):

@@ -18,7 +18,7 @@ from metropilot.railway.day import ServiceDay
 from metropilot.railway.drawn import NAME as DRAWN_NAME
 from metropilot.railway.drawn import drawn_trainset
 from metropilot.railway.feeding import Feeding
-from metropilot.railway.formats.reader import ACTUATION_TIME, Node, nearest
+from metropilot.railway.formats.reader import COMMAND_TIME, Node, nearest
 from metropilot.railway.formats.toml import line_document, read_journey, read_line, toml_text
 from metropilot.railway.formats.toml_day import read_day
 from metropilot.railway.formats.toml_feeding import read_feeding
@@ -269,13 +269,13 @@ def parse_trainset(key: str | Path) -> TrainsetKey:
         return TrainsetKey(text)
     late = None
     if match["late"] is not None:
-        allowed = f"ID@DELAY,LAG, each 0 to {ACTUATION_TIME.high:g} s"
+        allowed = f"ID@DELAY,LAG, each 0 to {COMMAND_TIME.high:g} s"
         numbers = LATE.fullmatch(match["late"])
         if numbers is None:
             raise InputError("not a dead time and a lag", field="trainset", value=text, allowed=allowed)
         late = (float(numbers[1]), float(numbers[2]))
         for name, value in zip(("dead time", "lag"), late, strict=True):
-            if not value <= ACTUATION_TIME.high:
+            if not value <= COMMAND_TIME.high:
                 raise InputError(f"{name} out of range", field="trainset", value=text, allowed=allowed)
     return TrainsetKey(match["id"], late, match["load"])
 

@@ -264,6 +264,7 @@ class Line(CatalogueRecord):
         Raises:
             InputError: Naming the field, its value and what is allowed.
         """
+        self._check_track()
         stops = self.stations
         if len(stops) < 2:
             raise InputError("needs stations", field="stations", value=len(stops), allowed="at least 2")
@@ -299,6 +300,28 @@ class Line(CatalogueRecord):
             raise InputError(
                 "speed limit out of range", field="limit_mps", value=slowest, unit="m/s", allowed="> 0 m/s"
             )
+
+    def _check_track(self) -> None:
+        """Refuse tunnels in one another, of which the train would meet one only, and curves without end."""
+        for index, (before, after) in enumerate(pairwise(self.tunnels), start=1):
+            if after.from_m < (end_m := before.from_m + before.length_m) - 1e-6:
+                raise InputError(
+                    "begins in the tunnel before it",
+                    field=f"tunnels[{index}].from",
+                    value=tidy(after.from_m),
+                    unit="m",
+                    allowed=f">= {end_m:g} m",
+                )
+        for index, (curve, after) in enumerate(pairwise(self.curves)):
+            changes = curve.curvature_start_per_m != curve.curvature_end_per_m
+            if changes and after.from_m - curve.from_m > LONGEST_M:
+                raise InputError(
+                    "the curvature changes over too long a way",
+                    field=f"curves[{index}].from",
+                    value=f"{curve.from_m:g} to {after.from_m:g}",
+                    unit="m",
+                    allowed=f"at most {LONGEST_M:g} m",
+                )
 
     def station(self, key: str) -> Station:
         """The station a user means by a code, a name, or a unique beginning of one (case, spaces ignored).

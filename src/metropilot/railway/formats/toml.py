@@ -35,6 +35,8 @@ GRADIENT = Range(-150.0, 150.0)
 CURVATURE = Range(-0.1, 0.1)
 RADIUS = Range(infinite=True)
 BEYOND = Range(0.0, MOST_BEYOND_M)
+RUNNING_TIME = Range(0.0, 86_400.0, above=True)
+DWELL = Range(0.0, 86_400.0)
 RELEASE = Range(RELEASE_KMH[0] / KMH_PER_MPS, RELEASE_KMH[1] / KMH_PER_MPS)
 POINT_FIELDS = (("earliest", "time"), ("latest", "time"), ("slowest", "speed"), ("fastest", "speed"))
 _WIDTH = 110
@@ -154,9 +156,9 @@ def read_line(root: Node) -> Line:
         altitude_m=gradients.quantity("altitude", "length", ANY, 0.0),
         curves=_curves(curves) if curves else (),
         tunnels=read_tunnels(tunnels, "from", "cross_section") if tunnels else (),
-        planned_forward_s=timetable.quantities("forward", "time", POSITIVE) if timetable else (),
-        planned_backward_s=timetable.quantities("backward", "time", POSITIVE) if timetable else (),
-        dwell_s=timetable.quantities("dwell", "time", NOT_NEGATIVE) if timetable else (),
+        planned_forward_s=timetable.quantities("forward", "time", RUNNING_TIME) if timetable else (),
+        planned_backward_s=timetable.quantities("backward", "time", RUNNING_TIME) if timetable else (),
+        dwell_s=timetable.quantities("dwell", "time", DWELL) if timetable else (),
         authority=_authority(authority) if authority else MovementAuthority(),
     )
 

@@ -14,12 +14,15 @@ from metropilot.railway.effort import Efficiency, EffortCurve, EffortPiece
 from metropilot.railway.formats.reader import (
     ACTUATION_TIME,
     ANY,
+    COMMAND_TIME,
     EFFICIENCY,
     EMERGENCY_JERK,
     EMERGENCY_RATE,
     NOT_NEGATIVE,
     POSITIVE,
     POSITIVE_OR_NONE,
+    SERVICE_JERK,
+    SERVICE_RATE,
     SHARE,
     Column,
     Node,
@@ -33,15 +36,15 @@ from metropilot.units import STANDARD_GRAVITY_MPS2, Unit, pick, si_unit, unit
 GRAVITY = Range(9.0, 10.5)
 Keys = dict[str, tuple[str, str, Range, float | None]]
 LIMITS: Keys = {
-    "service_deceleration": ("service_deceleration_mps2", "acceleration", POSITIVE_OR_NONE, math.inf),
-    "max_acceleration": ("max_acceleration_mps2", "acceleration", POSITIVE_OR_NONE, math.inf),
-    "max_deceleration": ("max_deceleration_mps2", "acceleration", POSITIVE_OR_NONE, math.inf),
+    "service_deceleration": ("service_deceleration_mps2", "acceleration", SERVICE_RATE, math.inf),
+    "max_acceleration": ("max_acceleration_mps2", "acceleration", SERVICE_RATE, math.inf),
+    "max_deceleration": ("max_deceleration_mps2", "acceleration", SERVICE_RATE, math.inf),
     "adhesion": ("adhesion", "share", POSITIVE_OR_NONE, math.inf),
 }
 ACTUATION: Keys = {
-    "delay": ("delay_s", "time", ACTUATION_TIME, 0.0),
-    "lag": ("lag_s", "time", ACTUATION_TIME, 0.0),
-    "jerk_limit": ("jerk_limit_mps3", "jerk", POSITIVE_OR_NONE, math.inf),
+    "delay": ("delay_s", "time", COMMAND_TIME, 0.0),
+    "lag": ("lag_s", "time", COMMAND_TIME, 0.0),
+    "jerk_limit": ("jerk_limit_mps3", "jerk", SERVICE_JERK, math.inf),
 }
 PROTECTION: Keys = {
     "emergency_deceleration": ("emergency_deceleration_mps2", "acceleration", EMERGENCY_RATE, None),

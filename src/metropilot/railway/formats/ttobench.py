@@ -24,6 +24,7 @@ from metropilot.railway.formats.reader import (
     EMERGENCY_RATE,
     NOT_NEGATIVE,
     POSITIVE,
+    SERVICE_RATE,
     SHARE,
     Column,
     Node,
@@ -251,8 +252,8 @@ def read_train(root: Node, stem: str) -> Trainset:
         "length_m": scalar(root, "length", "length", NOT_NEGATIVE, 0.0),
         "max_speed_mps": scalar(root, "max speed", "speed", Range(0.0, 150.0, above=True)),
         "friction_brake_n": scalar(root, "max pn braking force", "force", NOT_NEGATIVE, 0.0),
-        "max_acceleration_mps2": scalar(root, "max acceleration", "acceleration", POSITIVE, math.inf),
-        "max_deceleration_mps2": scalar(root, "max deceleration", "acceleration", POSITIVE, math.inf),
+        "max_acceleration_mps2": scalar(root, "max acceleration", "acceleration", SERVICE_RATE, math.inf),
+        "max_deceleration_mps2": scalar(root, "max deceleration", "acceleration", SERVICE_RATE, math.inf),
     }
     kept_raw = {key: root.data[key] for key in EFFICIENCIES if key in root and "values" in root.table(key)}
     fields["efficiency_traction"] = _efficiency(root, EFFICIENCIES[0], efforts[0], braking=False)
