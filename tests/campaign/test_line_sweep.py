@@ -165,6 +165,7 @@ def test_the_command_reports_every_row(folder, capsys, monkeypatch):
         ("short.toml", "nowhere", "matrix.lines: "),
         ('"AW2"', '"AW9"', "matrix.trainsets: "),
         ("[2,", "[3,", "matrix.feedings: too many feeding zones: 3"),
+        ("[2,", "[0,", "matrix.feedings: a line needs a feeding zone: 0 (allowed: 1 to 2"),
         ("network.toml 1", "network.toml one", "matrix.feedings: not a feeding"),
         ("network.toml 1", "yizhuang 1", "matrix.feedings: substation off the line"),
         ("network.toml 1", "nothing", "matrix.feedings: "),
@@ -195,6 +196,12 @@ def test_what_cannot_be_used_is_one_line_with_file_and_field(folder, capsys, old
     assert said.count("\n") == 1
     assert "mine.toml: " in said
     assert words in said
+
+
+def test_a_line_is_no_campaign_of_lines(folder, capsys):
+    assert command("campaign", folder / "short.toml", "--out", folder / "out") == 2
+    said = capsys.readouterr().err
+    assert "short.toml: describes a line, not a campaign (allowed: a file of a campaign)" in said
 
 
 def test_drivers_and_samples_are_of_drives(folder, capsys):

@@ -6,16 +6,15 @@ import numpy as np
 import pytest
 
 from metropilot.drivers import DRIVERS
-from metropilot.evaluate import best, best_of, compare, comparison_json, jobs
+from metropilot.evaluate import RunSpec, best, best_of, compare, comparison_json, jobs, run_from_toml
 from metropilot.evaluate.comparison import bootstrap
 from metropilot.evaluate.figures import comparison_figure
-from metropilot.evaluate.folder import write_comparison
+from metropilot.evaluate.folder import write_comparison, write_run_toml
 
 
 @pytest.fixture(scope="module")
 def entries():
     """One driver, two seeds of noise (drives are slow under the run-time type check)."""
-    from metropilot.evaluate import RunSpec
     from metropilot.sim import Disturbance
 
     noisy = Disturbance(speed_noise_mps=0.02)
@@ -105,3 +104,12 @@ def test_the_folder_of_a_comparison(entries, tmp_path):
         "comparison.svg",
         "run.toml",
     ]
+    assert "compared" not in (tmp_path / "run.toml").read_text()
+
+
+def test_the_run_of_a_comparison_names_the_drivers_it_leaves_out(tmp_path):
+    request = RunSpec("yizhuang", "RJ", "WYJ", 90.0, driver="flat_out")
+    write_run_toml(tmp_path, request, ["flat_out", "pid", "optimal"])
+    path = tmp_path / "run.toml"
+    assert "# It is the run of the first driver compared; the others: pid, optimal.\n" in path.read_text()
+    assert run_from_toml(path) == request.resolve()

@@ -249,6 +249,8 @@ def campaign_from_values(path: Path, values: dict[str, Any]) -> AbstractCampaign
     kind = values.pop("kind", DRIVES)
     with rename_fields({"kind": "kind"}, path):
         KINDS.row(str(kind))
+    if "stations" in values:
+        raise InputError("describes a line, not a campaign", file=path, allowed="a file of a campaign")
     if kind == LINE:
         return sweep_from_values(path, values)
     found = validate(path, CampaignFile, values)

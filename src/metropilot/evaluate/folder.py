@@ -72,7 +72,7 @@ def write_comparison(folder: Path, request: RunSpec, entries: Sequence[Entry]) -
     with fill_folder(folder) as scratch:
         write_json(scratch / "comparison.json", comparison_json(request, entries))
         save_figure(comparison_figure(entries), scratch / "comparison")
-        write_run_toml(scratch, request)
+        write_run_toml(scratch, request, [entry.driver for entry in entries])
 
 
 def comparison_json(request: RunSpec, entries: Sequence[Entry]) -> dict[str, Any]:
@@ -91,13 +91,21 @@ def comparison_json(request: RunSpec, entries: Sequence[Entry]) -> dict[str, Any
     return {"run": request.resolve().values(), "drivers": drivers}
 
 
-def write_run_toml(folder: Path, request: RunSpec) -> None:
-    """Write `run.toml` and copies of the line, trainset and policy files it names."""
+def write_run_toml(folder: Path, request: RunSpec, compared: Sequence[str] = ()) -> None:
+    """Write `run.toml` and copies of the line, trainset and policy files it names.
+
+    Args:
+        folder: Folder.
+        request: Request of the run.
+        compared: Drivers of a comparison, of which the run has the first.
+    """
     import tomli_w
 
     table = {"run": copy_inputs(folder, request.resolve()).values(), "made_with": provenance()}
-    head = "# Drive it again: metropilot drive --from run.toml\n\n"
-    (folder / "run.toml").write_text(head + tomli_w.dumps(table), encoding="utf-8")
+    head = "# Drive it again: metropilot drive --from run.toml\n"
+    if len(compared) > 1:
+        head += f"# It is the run of the first driver compared; the others: {', '.join(compared[1:])}.\n"
+    (folder / "run.toml").write_text(f"{head}\n{tomli_w.dumps(table)}", encoding="utf-8")
 
 
 def copy_input(folder: Path, text: str, stem: str) -> str:

@@ -271,13 +271,15 @@ def divide_zones(line: Line, zones: int) -> Int[ndarray, " sections"]:
     """Zone of each section: zones meet at the stations nearest to an even division of the line.
 
     Raises:
-        InputError: More zones than sections.
+        InputError: More zones than sections, or none.
     """
     position = np.array([station.position_m for station in line.stations])
     sections = position.size - 1
+    allowed = f"1 to {sections}, one for each section"
     if zones > sections:
-        allowed = f"1 to {sections}, one for each section"
         raise InputError("too many feeding zones", field="zones", value=zones, allowed=allowed)
+    if zones < 1:
+        raise InputError("a line needs a feeding zone", field="zones", value=zones, allowed=allowed)
     edges = [0]
     for k in range(1, zones):
         target = position[0] + (position[-1] - position[0]) * k / zones
