@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import get_args
 
 import pytest
+from tests.railway import samples
 
 from metropilot.cli import app, catalogue
 
@@ -270,6 +271,28 @@ def test_too_few_steps_are_refused_with_the_least_there_are(metropilot, tmp_path
     assert "--steps: too few for 8 evaluations" in said.err
     assert "262144 or more" in said.err
     assert not (tmp_path / "mine").exists()
+
+
+@pytest.mark.parametrize(
+    ("command", "words"),
+    [
+        (
+            ("line", "--headway", "180"),
+            "line: minimum running time of A-B is without end: the trainset stalls",
+        ),
+        (("capacity",), "the trainset stalls at 794 m, where gradient and curve take 1.380 N/kg"),
+        (("plan", "A", "B", "--front"), "the trainset stalls at 794 m"),
+    ],
+    ids=["line", "capacity", "front"],
+)
+def test_a_climb_on_which_the_trainset_stalls_is_said_to_be_one(metropilot, tmp_path, command, words):
+    text = samples.LINE.replace("[400, 10]", "[400, 140]")
+    table = text[text.index("[timetable]") : text.index("[movement_authority]")]
+    (tmp_path / "steep.toml").write_text(text.replace(table, ""))
+    code, _, err = metropilot(command[0], tmp_path / "steep.toml", *command[1:])
+    assert code == 2
+    assert err.count("\n") == 1
+    assert words in err
 
 
 def test_the_same_as_json(metropilot):

@@ -336,6 +336,9 @@ class LineOperation:
 
     def _trip(self, section: Section, backward: bool, zone: int) -> Trip:
         minimum_s = minimum_running_time(section, self.trainset)
+        if not math.isfinite(minimum_s):
+            what = f"minimum running time of {section.name}"
+            raise Infeasible(f"{what} is without end: the trainset stalls on the way", field="line")
         planned = section.planned_time_s
         planned_s = math.ceil(minimum_s * (1.0 + self.options.reserve)) if planned is None else round(planned)
         if planned_s < minimum_s:

@@ -248,16 +248,17 @@ def plan_arrays(
 
     ``about`` is a plan of much the same drive, made before: starting from its speeds saves passes.
     """
-    if not np.isfinite(time_s) or time_s <= 0:
-        raise InputError(
-            "running time out of range", field="time", value=time_s, unit="s", allowed="finite, > 0"
-        )
     table = limit_acceleration(specific(vehicle), options)
     mesh = _mesh(vehicle, track, options, options.spacing_m)
     energy = fastest_profile(table, mesh, options.start_mps, options.end_mps)
     fastest = float(times(mesh, energy).sum())
+    # before the time is judged: one made from a minimum that does not end is no fault of its own
     if not np.isfinite(fastest):
         explain_stall(mesh, energy)
+    if not np.isfinite(time_s) or time_s <= 0:
+        raise InputError(
+            "running time out of range", field="time", value=time_s, unit="s", allowed="finite, > 0"
+        )
     if options.late_w is None:
         _check_stop(table, mesh, options)
         if options.end_mps <= 0.0:
