@@ -1,6 +1,6 @@
 """Optimum, attainable optimum and drives of every section: the table in the docs on planning.
 
-python -m benchmarks.attainable --trainset dkz32 --trainset ../shared/odd/slow.toml --write docs/planning.md
+python -m benchmarks.attainable --trainset dkz32 --trainset dkz32@0.6,0.4 --write docs/planning.md
 """
 
 from __future__ import annotations
@@ -158,7 +158,7 @@ def main() -> None:
         trainset = load_trainset(name)
         both = (*line.sections(), *line.sections(backward=True))
         drives = {driver: [measure(s, trainset, driver) for s in both] for driver in DRIVERS_SHOWN}
-        found[Path(name).stem] = drives
+        found[trainset.id] = drives
     words = "python -m benchmarks.attainable " + " ".join(f"--trainset {name}" for name in names)
     if options.write is None:
         print(text(found, words))

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from metropilot.env import build_tables
 from metropilot.physics import track_arrays
 from metropilot.protection import Bounds, permitted_before_end, protect, usable_deceleration
 from metropilot.railway import Section, Trainset, load_line, load_trainset
-from metropilot.sim import Outcome, Run, drive
+from metropilot.sim import Outcome, Run, declared_bounds, drive
 
 DT = 0.2
 
@@ -64,6 +65,19 @@ def test_a_stop_is_planned_below_the_speeds_that_protection_leaves():
     assert np.all(np.sqrt(2.0 * usable * left) < most)
     tables = build_tables([(where, weak, bounds)], 1.0, np.float64)
     assert tables.vehicle.max_deceleration_mps2[0] == usable
+
+
+def test_the_stop_that_is_left_is_as_the_page_says():
+    line, weak = load_line("yizhuang"), trainset("ch_stadler_flirt_tpf")
+    left = [
+        usable_deceleration(each, weak, declared_bounds(Run(each, weak, 300.0)))
+        for each in (*line.sections(), *line.sections(backward=True))
+    ]
+    assert sorted(round(each, 2) for each in left)[:5] == [0.37, 0.40, 0.47, 0.49, 0.52]
+    assert round(max(left), 2) == 0.56
+    page = (Path(__file__).parents[2] / "docs/safety.md").read_text()
+    said = "at 0.52 to 0.56 m/s² on 22 of the 26 sections of Yizhuang and at 0.37 to 0.49 m/s²"
+    assert said in " ".join(page.split())
 
 
 def test_who_is_guaranteed_the_service_brake_may_use_all_of_it():

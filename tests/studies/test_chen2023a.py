@@ -10,14 +10,17 @@ from metropilot.env import Comfort, OnTime, PeriodChange, task_config
 from metropilot.learn import PPOConfig, RunRecord, config_to_mapping
 from metropilot.studies import Order, SeedResult, learn_seeds, learning
 from metropilot.studies.chen2023a import setting as published
+from metropilot.studies.chen2023a import study
 from metropilot.studies.chen2023a.drives import (
     ABOVE,
     COAST,
+    DRIVING,
     REWARD,
     TIME,
     DriveCourse,
     band,
     course,
+    energy_rows,
     find_convergence,
     paper_rows,
     time_rows,
@@ -90,6 +93,19 @@ def curve(at: int, *, time_s: float = 86.0, back: tuple[int, ...] = ()) -> Drive
         "arrived": np.ones(CHUNKS),
     }
     return DriveCourse(100.0 * np.arange(1, CHUNKS + 1), np.linspace(5.0, 1.0, CHUNKS), part, part)
+
+
+def test_the_order_of_energies_counts_who_arrives_as_the_table_does():
+    """DDPG's policies that stand still use less; they were counted here and not in the table."""
+    there = curve(0)
+    stands = replace(
+        there, driving=there.driving | {"arrived": np.zeros(CHUNKS), "energy_kwh": np.full(CHUNKS, 1.0)}
+    )
+    learned = {"ppo": [there, there], "ddpg": [stands, there, stands], "ppo_scaled": [stands]}
+    assert "most first: PPO 14.0 kWh, DDPG 14.0 kWh. The paper" in study._order(learned)
+    rows = energy_rows({"ddpg": learned["ddpg"]}, lambda _: None)
+    (row,) = (each for each in rows if (each.kpi, each.case) == ("final energy", DRIVING))
+    assert row.ours == 14.0
 
 
 @pytest.mark.parametrize(

@@ -260,10 +260,15 @@ def time_rows(courses: Courses) -> Iterator[ReportRow]:
             yield make_row(TIME, case, name, words, "", shares)
 
 
+def arriving(courses: Sequence[DriveCourse]) -> list[DriveCourse]:
+    """Those whose policy arrives at the end: the others save energy by standing still."""
+    return [one for one in courses if final(one.driving["arrived"]) > 0.5]
+
+
 def energy_rows(courses: Courses, least: Bound) -> Iterator[ReportRow]:
     """Final energy of the policy beside the certified optimum in the same running time."""
     for name, mine in courses.items():
-        arrived = [one for one in mine if final(one.driving["arrived"]) > 0.5]
+        arrived = arriving(mine)
         used = [final(one.driving["energy_kwh"]) for one in arrived]
         known = [b for one in arrived if (b := least(final(one.driving["running_time_s"]))) is not None]
         optimum = float(np.median(known)) if known else None
@@ -322,7 +327,7 @@ def outcome_rows(table: str, courses: Courses, least: Bound) -> Iterator[ReportR
 
 def find_gaps(mine: Sequence[DriveCourse], least: Bound) -> list[float]:
     """Energy of the final policies that arrive above the optimum in their running time, %."""
-    arrived = [one for one in mine if final(one.driving["arrived"]) > 0.5]
+    arrived = arriving(mine)
     used = [final(one.driving["energy_kwh"]) for one in arrived]
     best = [least(final(one.driving["running_time_s"])) for one in arrived]
     return [100.0 * (e / b - 1.0) for e, b in zip(used, best, strict=True) if b is not None]

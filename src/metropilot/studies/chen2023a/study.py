@@ -20,6 +20,7 @@ from metropilot.studies.chen2023a.drives import (
     MOST_ENERGY,
     SHARE,
     LeastEnergy,
+    arriving,
     course,
     final,
     find_convergences,
@@ -200,11 +201,12 @@ def _lags(learned: Courses) -> str:
 
 
 def _order(learned: Courses) -> str:
-    energy = {n: float(np.median([final(o.driving["energy_kwh"]) for o in m])) for n, m in learned.items()}
+    there = {name: arrived for name, mine in learned.items() if (arrived := arriving(mine))}
+    energy = {n: float(np.median([final(o.driving["energy_kwh"]) for o in m])) for n, m in there.items()}
     order = sorted(energy, key=lambda name: -energy[name])
     words = ", ".join(f"{NAMES[name]} {energy[name]:.1f} kWh" for name in order)
     return (
-        f"Energy of the policies themselves, most first: {words}. The paper has DDPG far above PPO with "
+        f"Energy of the policies that arrive, most first: {words}. The paper has DDPG far above PPO with "
         "reward scaling, and plain PPO lowest because it is late."
     )
 
