@@ -2,6 +2,7 @@
 
 import asyncio
 import json
+import signal
 import time
 from io import BytesIO
 from itertools import pairwise
@@ -298,3 +299,14 @@ def test_runs_survive_the_server(tmp_path):
         again.post(f"/api/jobs/{job}/stop")
     finally:
         again.close()
+
+
+@pytest.mark.parametrize("seconds", [0.05, 0.5])
+def test_two_ctrl_c_end_a_server_as_one_does(tmp_path, seconds):
+    served = Server(tmp_path)
+    served.process.send_signal(signal.SIGINT)
+    time.sleep(seconds)
+    served.process.send_signal(signal.SIGINT)
+    assert served.process.wait(20) == 0
+    assert "Traceback" not in (tmp_path / "server.log").read_text()
+    served.close()

@@ -163,3 +163,5 @@ def test_a_page_that_is_open_at_the_end_is_no_error_of_the_server(error, news):
     record = logging.LogRecord("uvicorn.error", logging.ERROR, "", 0, "", (), (type(error), error, None))
     assert is_news(record) is news
     assert is_news(logging.LogRecord("uvicorn.error", logging.INFO, "", 0, "", (), None))
+    told = f"Traceback (most recent call last):\n  ...\nasyncio.exceptions.{type(error).__name__}\n"
+    assert is_news(logging.LogRecord("uvicorn.error", logging.ERROR, "", 0, told, (), None)) is news

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import socket
 import sys
 from pathlib import Path
@@ -110,6 +111,8 @@ def serve_command(
         console().print(f"metropilot console: {url}{query}  (Ctrl-C ends it)")
     sys.stdout.flush()
     serve(settings)
+    # the server has ended well; another Ctrl-C must not end the process by the signal on its last way
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
     return 0
 
 

@@ -119,8 +119,11 @@ def make_app(settings: Settings) -> ASGIApp:
 
 
 def is_news(record: logging.LogRecord) -> bool:
-    """Tell whether a record of the log is more than that an open page was closed at the end."""
-    return not (record.exc_info and isinstance(record.exc_info[1], asyncio.CancelledError))
+    """Tell whether a record of the log is more than that an open page, or a second Ctrl-C, ended a task."""
+    if record.exc_info and isinstance(record.exc_info[1], asyncio.CancelledError):
+        return False
+    # uvicorn has the traceback of its own task in the text
+    return not record.getMessage().rstrip().endswith("CancelledError")
 
 
 def serve(settings: Settings) -> None:
