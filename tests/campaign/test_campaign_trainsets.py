@@ -167,7 +167,8 @@ def test_it_is_driven_and_the_page_says_what_failed(tmp_path, monkeypatch, campa
     assert "| `flat_out` | 8 | 8 of 8 | 0 of 8 | 0 |" in page  # early: it keeps no time
     assert "## By declared dead time and lag" in page
     assert "| drawn-5-1 | 0 of 4 |" in page
-    assert "## Runs that failed\n\nNone." in page
+    early = "Not on time because they came too early, and not listed: `flat_out` 8."
+    assert f"## Runs that failed\n\nNone.\n\n{early}\n" in page
 
     def broken(self, memory, observation):
         raise ZeroDivisionError("nobody home")

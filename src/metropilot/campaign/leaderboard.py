@@ -204,6 +204,8 @@ NOMINAL = DisturbanceCase("nominal")
 EARLY = "outcome = 'arrived' AND coalesce(safe, false) AND time_error_s < 0"
 LOST = f"{DRIVEN} AND (NOT coalesce(safe, false) OR (({POSSIBLE}) AND NOT success AND NOT ({EARLY})))"
 """Condition of a run that failed: not safe, or not in time although that was possible."""
+TOO_EARLY = f"{DRIVEN} AND ({POSSIBLE}) AND NOT success AND {EARLY}"
+"""Condition of a run that is not on time and yet not among those that failed."""
 LEFT = "outcome IN ('stalled', 'out_of_time')"
 CELL = "line, origin, destination, trainset, load, time, period_s, disturbance, number, driver"
 LATE = "SELECT * FROM runs WHERE actuation = '0 s, 0 s'"
@@ -255,13 +257,15 @@ def _by_trainset(folder: Path, campaign: Campaign) -> list[str]:
         levels = {key: query_rows(database, select.format(f"{key}, driver")) for key in LEVELS}
         trainsets = query_rows(database, select.format("trainset, driver"))
         lost = query_rows(database, f"SELECT * FROM runs WHERE {LOST} ORDER BY row")
+        select = f"SELECT driver, count(*) AS runs FROM runs WHERE {TOO_EARLY} GROUP BY ALL ORDER BY min(row)"
+        early = query_rows(database, select)
     lines = ["## Driver by driver", "", TRAINSET_LEGEND, *_cells(TRAINSET_COLUMNS, drivers), ""]
     for key, title in LEVELS.items():
         if len({row[key] for row in levels[key]}) > 1:
             lines += [f"## {title}", "", *_grid(levels[key], key), ""]
     if len({name for name, _ in campaign.trainsets}) > 1:
         lines += ["## Trainset by trainset", "", *_grid(trainsets, "trainset"), ""]
-    return lines + _failed_runs(campaign, lost)
+    return lines + _failed_runs(campaign, lost, early)
 
 
 def _grid(rows: Sequence[Row], key: str) -> list[str]:
@@ -286,11 +290,13 @@ def _grid(rows: Sequence[Row], key: str) -> list[str]:
     return [*lines, *markdown_table([head, *(f"`{name}`" for name in drivers)], table)]
 
 
-def _failed_runs(campaign: Campaign, lost: Sequence[Row]) -> list[str]:
-    """Every driver's failures: outcome, and the command that drives the run again."""
+def _failed_runs(campaign: Campaign, lost: Sequence[Row], early: Sequence[Row]) -> list[str]:
+    """Every driver's failures: outcome, and the command that drives the run again; how many were early."""
+    counts = ", ".join(f"`{row['driver']}` {row['runs']}" for row in early)
+    told = [f"Not on time because they came too early, and not listed: {counts}.", ""] if early else []
     if not lost:
-        return ["## Runs that failed", "", "None.", ""]
-    lines = ["## Runs that failed", ""]
+        return ["## Runs that failed", "", "None.", "", *told]
+    lines = ["## Runs that failed", "", *told]
     lines += [f"Not safe, or late although that time was possible; up to {SHOWN} of each driver.", ""]
     for driver, rows in groupby(lost, lambda row: row["driver"]):
         found = list(rows)
