@@ -171,6 +171,29 @@ def test_energy_is_neither_made_nor_lost():
         assert into - flow.rail_loss_w == pytest.approx(trains_w, abs=1.0)
 
 
+@pytest.mark.parametrize(
+    ("steep", "near"),
+    [
+        ({"resistance_ohm": 1e-8}, {"resistance_ohm": 1e-6}),
+        ({"inverter_v": 865.0, "inverter_ohm": 1e-8}, {"inverter_v": 865.0, "inverter_ohm": 1e-6}),
+        ({"squeezed_above_v": 899.999}, {"squeezed_above_v": 899.99}),
+    ],
+)
+def test_steep_elements_turn_the_rounding_of_voltages_into_current(steep, near):
+    among, flows = many(60, 9, np.random.default_rng(2)), []
+    for change in (steep, near):
+        network = load_feeding("yizhuang")
+        if "squeezed_above_v" in change:
+            network = replace(network, **change)
+        else:
+            network = replace(network, substations=tuple(replace(s, **change) for s in network.substations))
+        flows.append(solve_network(network, among, 60))
+    found, other = flows
+    assert abs(found.imbalance) < 1e-7
+    assert found.is_served.all()
+    assert found.train_v == pytest.approx(other.train_v, abs=0.05)
+
+
 def test_a_second_does_not_depend_on_its_neighbours():
     network, among = load_feeding("yizhuang"), many(40, 6, np.random.default_rng(3))
     together = solve_network(network, among, 40)

@@ -31,7 +31,7 @@ NEAR_M = 0.5
 BALANCED_A = 1e-7
 """Sum of the currents at a node below which it is balanced."""
 ROUNDING_V = 4e-13
-"""Rounding of a voltage, which short rails turn into current."""
+"""Rounding of a voltage, which short rails and steep elements turn into current."""
 MOST_STEPS = 200
 FARTHEST_V = 200.0
 """Longest Newton step: beyond it the kinks of the elements make a tangent worthless."""
@@ -389,7 +389,8 @@ def _solve(feeding: Feeding, nodes: _Nodes) -> tuple[ndarray, ndarray, int]:
     for step_count in range(MOST_STEPS):
         current_a, slope_s = some.current(feeding, at_v)
         residual_a = some.residual(at_v, current_a)
-        rounding_a = ROUNDING_V * some.rail_s.max(axis=0, initial=0.0)
+        steepest_s = np.maximum(some.rail_s.max(axis=0, initial=0.0), np.abs(slope_s).max(axis=0))
+        rounding_a = ROUNDING_V * steepest_s
         open_ = np.abs(residual_a).max(axis=(0, 1)) > BALANCED_A + rounding_a
         if not open_.all():
             voltage_v[:, :, left] = at_v
