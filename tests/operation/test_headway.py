@@ -18,12 +18,13 @@ from metropilot.operation import (
     check_day,
     check_headway,
     find_timetable,
+    lay_out_day,
     line_headways,
     operation_energy,
     repeat_timetables,
     timetable_energy,
 )
-from metropilot.railway import load_trainset
+from metropilot.railway import Period, ServiceDay, load_trainset
 
 
 def operation(**given):
@@ -125,6 +126,23 @@ def test_a_headway_below_the_technical_one_names_the_place_and_what_is_allowed()
         check_headway(line, line.plain_timetable(), plans()[0])
     with pytest.raises(InputError, match="headway_s"):
         operation_energy(operation(headway_s=40))
+
+
+def test_the_driving_that_needs_the_longest_headway_binds():
+    line, drivings = operation(headway_s=40), (plans()[0], operation().profiles("cruise"))
+    least = [
+        max(each.headway_s for each in line_headways(line, line.plain_timetable(), of)) for of in drivings
+    ]
+    assert ceil(least[0]) != ceil(least[1])
+    period = Period(name="all", from_s=0, to_s=3600, headway_s=40)
+    day = ServiceDay(id="short", name="short day", line_id="yizhuang", periods=(period,))
+    for both in (drivings, drivings[::-1]):
+        with pytest.raises(InputError, match=f"at least {ceil(max(least))} s"):
+            check_headway(line, line.plain_timetable(), *both)
+    with pytest.raises(InputError, match=f"at least {ceil(max(least))} s"):
+        operation_energy(line)
+    with pytest.raises(InputError, match=f"at least {ceil(max(least))} s"):
+        lay_out_day(line, day, plans(), others=[drivings[1]])
 
 
 def test_the_search_keeps_the_headway():

@@ -119,7 +119,7 @@ def lay_out_day(
         key = periodic.options.headway_s, periodic.options.dwell_s
         if key not in found:
             with rename_fields({"headway_s": f"headway of {period.name}"}, day.id):
-                check_headway(periodic, periodic.plain_timetable(), plans[0])
+                check_headway(periodic, periodic.plain_timetable(), plans[0], *others)
             if searched:
                 timetable, chosen = find_timetable(periodic, plans, seed=seed, moves=moves, restarts=RESTARTS)
             else:

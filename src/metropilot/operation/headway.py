@@ -137,13 +137,13 @@ def _nodes(profile: PowerProfile) -> tuple[ndarray, ndarray, ndarray, ndarray, n
     return profile.time_s, profile.position_m, speed, np.append(rate, 0.0), np.zeros(speed.size, dtype=int)
 
 
-def check_headway(operation: LineOperation, timetable: Timetable, profiles: Profiles) -> None:
+def check_headway(operation: LineOperation, timetable: Timetable, *drivings: Profiles) -> None:
     """Refuse a headway at which trains disturb one another.
 
     Args:
         operation: Line in operation.
         timetable: Timetable.
-        profiles: Its trips.
+        drivings: Its trips, one or more ways of driving them; the one that needs most binds.
 
     Raises:
         InputError: Naming the section or station that binds, its least headway and the direction.
@@ -153,12 +153,13 @@ def check_headway(operation: LineOperation, timetable: Timetable, profiles: Prof
     if options.headway_s >= options.age_s + float(both_s.max()):
         # the train ahead is two stations on when the next one sets out
         return
-    found = line_headways(operation, timetable, profiles)
-    backward = found[1].headway_s > found[0].headway_s
-    least = found[backward].bottleneck
+    found = [each for driving in drivings for each in line_headways(operation, timetable, driving)]
+    # the first of equals
+    number = int(np.argmax([each.headway_s for each in found]))
+    least = found[number].bottleneck
     if operation.options.headway_s < least.headway_s - ROUNDING_S:
         block = "a moving block" if operation.options.blocks is None else "fixed blocks"
-        way = ("forward", "backward")[backward]
+        way = ("forward", "backward")[number % 2]
         raise InputError(
             f"trains disturb one another at {least.kind} {least.name}, {way}",
             field="headway_s",

@@ -118,8 +118,7 @@ def operation_energy(
         check_sharp(operation)
     plans = plans or plan_trips(operation, windows=searched)
     (all_received, *_), (cruise, *_) = plans["optimal"], plans["cruise"]
-    for each in (all_received, cruise):
-        check_headway(operation, operation.plain_timetable(), each)
+    check_headway(operation, operation.plain_timetable(), all_received, cruise)
 
     def find(driving: str) -> tuple[Timetable, Profiles]:
         if searched:
