@@ -170,6 +170,7 @@ def test_a_trip_with_a_headway_departs_again_and_again(tmp_path, name):
         ("F0001,06:00:00,07:00:00,x", "line 2, headway_secs: not a headway: 'x'"),
         ("F0001,7 h,07:00:00,60", "line 2, start_time: not a time: '7 h'"),
         ("F0001,07:00:00,06:00:00,60", "line 2, end_time: not after the start: '06:00:00'"),
+        ("F001,06:00:00,07:00:00,60", "line 2, trip_id: unknown trip: 'F001'"),
     ],
 )
 def test_a_bad_frequency_gets_one_line(tmp_path, row, words):

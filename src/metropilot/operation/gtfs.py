@@ -174,7 +174,7 @@ def read_gtfs(path: Path, line: Line, service: str | None = None) -> DayTimetabl
     known = ", ".join(sorted(set(services.values())))
     if service is not None and service not in services.values():
         raise InputError("unknown service", file=path, field="service", value=service, allowed=known)
-    starts_s = _frequent_starts(path, tables["frequencies"])
+    starts_s = _frequent_starts(path, tables["frequencies"], services)
     mine, strange = _calls(path, tables["stop_times"], stations, services, service)
     found = sorted({services[trip] for trip in mine})
     if len(found) > 1:
@@ -208,10 +208,7 @@ def _calls(
     strange: dict[str, str] = {}
     for number, row in enumerate(rows, start=2):
         trip, station = row["trip_id"], stations.get(row["stop_id"])
-        if trip not in services:
-            raise _bad(
-                path, f"stop_times.txt line {number}", "trip_id", "unknown trip", trip, "one of trips.txt"
-            )
+        _check_trip(path, f"stop_times.txt line {number}", trip, services)
         if service is not None and services[trip] != service:
             continue
         if station is None:
@@ -223,11 +220,14 @@ def _calls(
     return mine, strange
 
 
-def _frequent_starts(path: Path, rows: Sequence[Mapping[str, str]]) -> dict[str, list[int]]:
+def _frequent_starts(
+    path: Path, rows: Sequence[Mapping[str, str]], services: Mapping[str, str]
+) -> dict[str, list[int]]:
     """First departures of the trips that run every headway."""
     found: dict[str, list[int]] = {}
     for number, row in enumerate(rows, start=2):
         where = f"frequencies.txt line {number}"
+        _check_trip(path, where, row["trip_id"], services)
         from_s, to_s = (
             parse_clock(row[name], file=path, field=f"{where}, {name}") for name in ("start_time", "end_time")
         )
@@ -239,6 +239,11 @@ def _frequent_starts(path: Path, rows: Sequence[Mapping[str, str]]) -> dict[str,
             raise _bad(path, where, "end_time", "not after the start", row["end_time"], allowed)
         found.setdefault(row["trip_id"], []).extend(range(from_s, to_s, int(headway)))
     return found
+
+
+def _check_trip(path: Path, where: str, trip: str, services: Mapping[str, str]) -> None:
+    if trip not in services:
+        raise _bad(path, where, "trip_id", "unknown trip", trip, "one of trips.txt")
 
 
 def _journeys(times: list[tuple[list[int], list[int]]]) -> Journeys:
