@@ -2,6 +2,7 @@
 
 import csv
 import json
+import re
 import shlex
 import shutil
 import tomllib
@@ -21,6 +22,15 @@ FIELDS = {
     "timetable_only_kwh",
     "feeding",
 }
+TWO = """
+kind = "line"
+id = "two"
+name = "Two stations"
+stations.unit = "m"
+stations.list = [{ code = "A", name = "Alpha", position = 0 }, { code = "B", name = "Beta", position = 1200 }]
+speed_limits = { units = { from = "m", speed = "km/h" }, values = [[-200, 60]] }
+gradients = { units = { from = "m", gradient = "permil" }, values = [[-200, 0]] }
+"""
 
 
 def test_the_command_prints_and_writes(typed, tmp_path):
@@ -73,7 +83,38 @@ def test_the_command_prints_and_writes(typed, tmp_path):
 def test_a_short_line_and_a_short_dwell_need_no_other_option(typed):
     said = typed("line", "lu2023", "--dwell", "5", "--json")
     assert said.code == 0, said.err
-    assert json.loads(said.out)["feeding"]["zones"] == 1
+    told = json.loads(said.out)
+    assert told["feeding"]["zones"] == 1
+    # values that hold anyway, as `run.toml` has them
+    usual = ("--dwell-window", "5", "--time-window", "4", "--seed", "0", "--reserve", "0.1")
+    assert json.loads(typed("line", "lu2023", "--dwell", "5", *usual, "--json").out) == told
+    assert typed("line", "lu2023", "--dwell-window", "0", "--time-window", "0").code == 0
+
+
+def test_a_reserve_is_that_of_a_line_without_planned_times(typed, tmp_path):
+    (tmp_path / "two.toml").write_text(TWO)
+    found = [
+        json.loads(typed("line", "two.toml", "--reserve", each, "--json").out) for each in ("0.1", "0.3")
+    ]
+    assert found[1]["energy_kwh"] < found[0]["energy_kwh"]
+    said = typed("line", "two.toml", "--timetable", "x.zip", "--reserve", "0.3")
+    assert said.code == 2
+    assert "--reserve: the running times are given" in said.err
+
+
+def test_a_dash_is_a_load_that_the_network_cannot_carry(typed, tmp_path):
+    # one train at a time draws what this substation can give
+    text = (resources.files("metropilot.railway") / "catalogue/feedings/yizhuang.toml").read_text()
+    text = re.sub(r"(?s)list = \[.*?\n\]", 'list = [{ name = "A", position = 0 }]', text, count=1)
+    text = text.replace('line = "yizhuang"', 'line = "two"').replace("resistance = 10", "resistance = 20")
+    (tmp_path / "mine.toml").write_text(text)
+    (tmp_path / "two.toml").write_text(TWO)
+    fed = ("line", "two.toml", "--feeding", "mine.toml", "--headway", "110")
+    told = json.loads(typed(*fed, "--json").out)["feeding"]["network"]
+    assert told["driving_only_kwh"] is None
+    said = " ".join(typed(*fed).out.split())
+    assert "optimal driving – and" in said
+    assert "–: the network cannot carry that load." in said
 
 
 def test_the_text_says_which_timetable_takes_what_on_the_network(typed):
@@ -121,6 +162,19 @@ def test_the_text_says_which_timetable_takes_what_on_the_network(typed):
             "trains.fleet: the timetable needs more trains: 23",
         ),
         (("lu2023", "--zones", "1", "--feeding", "yizhuang"), "a feeding of another line: 'yizhuang'"),
+        (
+            ("yizhuang", "--time-window", "9"),
+            "--time-window: needs a search of dwells and running times: 9 s",
+        ),
+        (
+            ("yizhuang", "--dwell-window", "9"),
+            "--dwell-window: needs a search of dwells and running times: 9 s",
+        ),
+        (("yizhuang", "--day", "yizhuang", "--time-window", "9"), "--time-window: needs a search"),
+        (("yizhuang", "--seed", "7"), "--seed: nothing is drawn at random: 7 (allowed: --optimise, "),
+        (("yizhuang", "--timetable", "x.zip", "--seed", "7"), "--seed: nothing is drawn at random"),
+        (("yizhuang", "--reserve", "0.3"), "--reserve: the running times are given: 0.3 (allowed: a line "),
+        (("yizhuang", "--reserve", "0", "--optimise"), "--reserve: the running times are given: 0.0"),
     ],
 )
 def test_bad_input_is_one_line(typed, words, told):

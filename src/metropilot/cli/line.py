@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -24,7 +25,7 @@ from metropilot.operation import OperationOptions
 
 if TYPE_CHECKING:
     from metropilot.operation import FeedingEnergy, LineOperation, OperationEnergy
-    from metropilot.railway import Feeding
+    from metropilot.railway import Feeding, Line
 
 EXAMPLES = {
     "line": (
@@ -135,6 +136,7 @@ def line_command(
     given |= OperationOptions.fitting(
         loaded, {key: given[key] for key in given if opt.is_typed(context, key)}
     )
+    _check_without_effect(request, loaded, given)
     typed = {"line": line, **given, **vars(request), "feeding": feeding}
     trainset = load_trainset(given.pop("trainset"), given.pop("load"))
     operation = LineOperation(loaded, trainset, OperationOptions(**given))
@@ -196,6 +198,40 @@ def _check_given_options(
         if opt.is_typed(context, name):
             words = "a timetable that is given has its own dwells and running times"
             raise InputError(words, field=name, allowed="without --timetable")
+
+
+def _check_without_effect(request: DayRequest, line: Line, given: Mapping[str, Any]) -> None:
+    """Refuse an option that alters nothing, but with its usual value: so `run.toml` has it.
+
+    Raises:
+        InputError: Such an option is given.
+    """
+    if not request.optimise:
+        usual = {"time_window_s": OperationOptions.time_window_s}
+        usual |= OperationOptions.fitting(line, {"zones": 1, "dwell_s": given["dwell_s"]})
+        for name, window_s in usual.items():
+            # without a search no dwell and no running time moves
+            if given[name] not in (window_s, 0):
+                raise InputError(
+                    "needs a search of dwells and running times",
+                    field=name,
+                    value=given[name],
+                    unit="s",
+                    allowed="--optimise",
+                )
+        if request.seed and request.driver is None and request.scatter is None:
+            allowed = "--optimise, --driver or --scatter"
+            raise InputError("nothing is drawn at random", field="seed", value=request.seed, allowed=allowed)
+    both = (*line.sections(), *line.sections(backward=True))
+    if given["reserve"] != OperationOptions.reserve and (
+        request.timetable is not None or all(each.planned_time_s is not None for each in both)
+    ):
+        raise InputError(
+            "the running times are given",
+            field="reserve",
+            value=given["reserve"],
+            allowed="a line without planned times",
+        )
 
 
 def _run_day(
@@ -274,11 +310,14 @@ def _print_network(found: OperationEnergy, fed: FeedingEnergy) -> None:
     console().print(table(title, columns, rows, right=range(1, 6)))
     sought = "zones_timetable_kwh" in told
     names = ("cruise", "driving_only"), ("timetable_only", "zones_timetable" if sought else "energy")
-    plain, found_for = ([number(told[f"{name}_kwh"], 1) for name in each] for each in names)
+    known = [[told[f"{name}_kwh"] for name in each] for each in names]
+    plain, found_for = ([number(kwh, 1) for kwh in each] for each in known)
     console().print(
         f"Here cruise and brake takes {plain[0]} kWh with the plain timetable and {found_for[0]} with the "
         f"one found for the zones, optimal driving {plain[1]} and {found_for[1]}."
     )
+    if None in (*known[0], *known[1]):
+        console().print("–: the network cannot carry that load.")
     if sought:
         console().print(
             f"Optimal driving takes {told['energy_kwh']:.1f} kWh with the timetable sought on the network."
