@@ -213,6 +213,7 @@ FEEDING = [
     ("resistance = 8 ", "resistance = 0 ", "substations.list[1].resistance", "0", "mohm", "> 0 mohm"),
     ("position = 1.5", "position = 0", "substations[1].position", "0", "m", "> 0 m"),
     ('at = ["B"]', 'at = ["C"]', "inverters.at[0]", "C", None, "A, B"),
+    ('at = ["B"]', "", "inverters.at", None, None, "names of substations"),
     ("voltage = 870", "voltage = 840", "inverters.voltage", "840", "V", "above the no-load voltage, 850 V"),
     ("running = 0.018", "running = -1", "rails.running", "-1", "ohm/km", "0 to 1000 ohm/km"),
     ("cut_off = 500", "cut_off = 560", "reduced_below_v", "550", "V", "between 560 and 850 V"),

@@ -1,6 +1,7 @@
 """Feedings read from files."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 from tests.railway import samples
@@ -39,6 +40,27 @@ def test_a_feeding_is_read_in_si(tmp_path):
         source={"substations": "made up"},
     )
     assert found.ohm_per_m == pytest.approx(2.6e-5)
+
+
+def test_values_left_out_are_those_of_the_page(tmp_path):
+    path = tmp_path / "bare.toml"
+    place = 'units.position = "m"\nlist = [{ name = "A", position = 0 }]'
+    names = "[onboard_storage]\n[rails]\n[trains]"
+    header = 'kind = "feeding"\nid = "bare"\nname = "Bare"\nline = "toy"'
+    path.write_text(f"{header}\n[substations]\n{place}\n[storage]\n{place}\n{names}\n")
+    found = load_feeding(path)
+    (substation,), (storage,) = found.substations, found.storages
+    words = (
+        f"{substation.no_load_v:g} V and {1e3 * substation.resistance_ohm:g} mohm (inverters "
+        f"{1e3 * substation.inverter_ohm:g} mohm), rails {1e6 * found.conductor_ohm_per_m:g} and "
+        f"{1e6 * found.running_ohm_per_m:g} mohm/km, trains {found.max_current_a:g} A, "
+        f"{found.reduced_below_v:g}, {found.cut_off_v:g}, {found.squeezed_above_v:g} and {found.max_v:g} V, "
+        f"storages {storage.capacity_j / 3.6e6:g} kWh, {storage.power_w / 1e3:g} kW, "
+        f"{100 * storage.efficiency:g} %, {storage.charge_above_v:g} and {storage.discharge_below_v:g} V, "
+        f"{1e3 * storage.resistance_ohm:g} mohm"
+    )
+    page = (Path(__file__).parents[2] / "docs" / "formats.md").read_text(encoding="utf-8")
+    assert words in " ".join(page.split())
 
 
 @pytest.mark.parametrize("key", list_feedings())

@@ -45,6 +45,8 @@ def read_feeding(root: Node) -> Feeding:
     block, inverters = document.block("substations"), document.optional("inverters")
     usual = _read(block, Substation, SUBSTATION)
     inverter = _read(inverters, Substation, INVERTER) if inverters else {}
+    if inverters:
+        inverters.require("at", "names of substations, [] for none")
     names = inverters.texts("at") if inverters else ()
     substations = []
     for name, position_m, own in _places(block, Substation, SUBSTATION):
