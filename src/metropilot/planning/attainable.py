@@ -30,7 +30,9 @@ STRETCH_M = 30.0
 """Stretch behind the departure and before the stop in which the least times count."""
 ATTAINABLE_SPACING_M = 25.0
 ATTAINABLE_PASSES = 2
-"""Mesh and passes of the jerk-limited plan: finer and more of them change its energy by 0.06 % at most."""
+"""Mesh and passes of the plan; on metro sections finer and more of them change its energy by 0.06 %."""
+BOUND_SPACING_M = 6.0
+"""Mesh of the bound: on one of 25 m drives of 300 m needed up to 0.7 % less than it."""
 LATE_W = 500.0
 LATE_S = 0.5
 """A plan later than this is none for the running time asked for."""
@@ -227,7 +229,9 @@ def attainable_plan(
     plan = _in_time(vehicle, track, time_s - (leave.lost_s + halt.lost_s - known_s), options, ideal)
     if plan is None:
         return None
-    wide = options if options.cap_mps is None else replace(options, cap_mps=options.cap_mps + error_mps)
+    wide = replace(options, spacing_m=BOUND_SPACING_M)
+    if wide.cap_mps is not None:
+        wide = replace(wide, cap_mps=wide.cap_mps + error_mps)
     bound = attainable_bound(vehicle, track, time_s, wide, leave, hardest, ideal)
     return Attainable(plan, min(max(bound, ideal.bound_j), plan.energy_j), leave.lost_s, halt.lost_s)
 
