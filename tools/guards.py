@@ -180,7 +180,7 @@ GUARDS = (
         "remainder of the last acceleration under the jerk limit",
         "H4",
         SUPERVISOR,
-        "acting = self.xp.maximum(acceleration(brake.forces, self.share_bound(share)), self.fading)",
+        "acting = self.xp.maximum(acceleration(brake.forces, self.share_bound(share)), fading)",
         "acting = acceleration(brake.forces, self.share_bound(share))",
         ("test_mutations.py::test_guard_in_the_arrays[jerk limit in service]",),
     ),

@@ -25,9 +25,16 @@ from metropilot.convoy.step import (
     update_needed_gap,
 )
 from metropilot.evaluate import RunSpec
-from metropilot.physics import vehicle_arrays
+from metropilot.physics import Command, effort_limits, vehicle_arrays
 from metropilot.planning import joint_minimum_running_time
-from metropilot.protection import spare_gap, usable_deceleration
+from metropilot.protection import (
+    at_start,
+    passing_share,
+    permitted_speed,
+    spare_gap,
+    supervise,
+    usable_deceleration,
+)
 from metropilot.railway import Restriction, load_line, load_trainset
 from metropilot.sim import AbstractDriver, Disturbance, Run, TimetableUpdate
 
@@ -171,6 +178,49 @@ def test_followers_depart_on_a_fall(follower, permil):
     convoy = replace(asked.convoy(), section=section)
     kpis = convoy_kpis(drive_convoy(convoy, asked.driven_head(convoy), asked.make_follower()), 70.0)
     assert kpis.success, kpis.verdict
+
+
+CLIMB = section_of(1500.0, {-300.0: 50.0}, {-300.0: 0.0, 300.0: 25.0})
+SAG = section_of(1252.0, {-300.0: 40.0}, {-300.0: -3.7, 477.0: 32.0, 764.0: -14.6})
+
+
+@pytest.mark.parametrize(
+    ("names", "late_s", "section"),
+    [
+        (("dkz32", "dkz32"), (0.6, 0.4), CLIMB),
+        (("dkz32", "cn_beijing_subway"), (0.5, 0.5), SAG),
+    ],
+)
+def test_a_heavy_late_trainset_follows_at_the_limit_on_a_climb_without_intervention(names, late_s, section):
+    """Up to 19: protection leaves climbs out where brakes are controlled; a steady speed seemed to rise."""
+    asked = request(time_s=133.0, disturbances=masses(0.8, 1.2), link=Link(0.1))
+    known = [load_trainset(name) for name in names]
+    actuations = [replace(each.actuation, delay_s=late_s[0], lag_s=late_s[1]) for each in known]
+    trainsets = tuple(replace(each, actuation=own) for each, own in zip(known, actuations, strict=True))
+    convoy = replace(asked.convoy(), section=section, trainsets=trainsets)
+    drive = drive_convoy(convoy, asked.driven_head(convoy), asked.make_follower())
+    kpis = convoy_kpis(drive, 133.0)
+    assert drive.interventions == (0, 0)
+    assert kpis.success, kpis.verdict
+
+
+@pytest.mark.parametrize("name", ["dkz32", "cheng2023", "cn_beijing_subway"])
+def test_protection_passes_the_largest_traction_under_the_limit(name):
+    """A heavy trainset, which accelerates little on a climb, asked for all: an emergency brake."""
+    trainsets = (load_trainset(name),) * 2
+    own = convoy_members(Convoy(CLIMB, trainsets, disturbances=masses(0.8, 1.2), dt=DT))[1]
+    guard, limited = own.protection, 0
+    for position_m in (200.0, 700.0):
+        permitted_mps = permitted_speed(guard, position_m)
+        for under_mps in np.linspace(0.05, 3.0, 20):
+            speed_mps = permitted_mps - under_mps
+            drag = effort_limits(own.believed, own.track, position_m, speed_mps).drag_mps2
+            share = passing_share(guard, position_m, speed_mps, permitted_mps, 0.0, drag)
+            asked = Command(share, False)
+            given, _, _ = supervise(guard, at_start(guard), position_m, speed_mps, asked)
+            assert given.share == share
+            limited += share < 1.0
+    assert limited > 0
 
 
 def test_a_declared_dead_time_is_answered():

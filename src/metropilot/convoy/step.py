@@ -7,9 +7,9 @@ from typing import Any, NamedTuple, no_type_check
 from metropilot._typing import Array
 from metropilot.convoy.model import FAR_M, Channel, Member, Message, open_channel, transmit
 from metropilot.convoy.plan import MotionPlan, plan_at
-from metropilot.physics import Command, State, at_rest, delay_steps, namespace
+from metropilot.physics import Command, State, at_rest, delay_steps, namespace, resistance_and_gradient
 from metropilot.protection import Memory as Watched
-from metropilot.protection import TrainAhead, at_start, spare_gap
+from metropilot.protection import TrainAhead, at_start, passing_share, spare_gap
 from metropilot.sim import NEVER_ENDS, PeriodRecord, RunParams, control_period, first_state
 
 LIMIT_S = 1.0
@@ -99,6 +99,7 @@ class FollowerObservation(NamedTuple):
         alarm: 1 if the trainset ahead reported an emergency brake, else 0.
         permitted_mps: Speed that protection permits for line limits.
         most_rise_mps2: Largest acceleration that it passes for them here.
+        most_share: Largest traction that it passes for them here, 0 to 1.
         period_s: Control period.
         most_mps2: Total deceleration that the own brakes are controlled to.
         plan: Own planned motion; None: the trainset ahead sends none.
@@ -128,6 +129,7 @@ class FollowerObservation(NamedTuple):
     alarm: Array
     permitted_mps: Array
     most_rise_mps2: Array
+    most_share: Array
     period_s: Array
     most_mps2: Array
     plan: MotionPlan | None
@@ -335,6 +337,23 @@ def rise_under(member: Member, room_mps: Array) -> Array:
 
 
 @no_type_check
+def share_under(member: Member, state: MemberState, permitted_mps: Array) -> Array:
+    """Largest traction of a trainset that protection passes for the limits of the line, 0 to 1."""
+    believed, plant = member.believed, state.plant
+    if member.protection is None:
+        return 1.0 + 0.0 * permitted_mps
+    forces_n = resistance_and_gradient(believed, member.track, plant.position_m, state.measured_mps)
+    return passing_share(
+        member.protection,
+        plant.position_m,
+        state.measured_mps,
+        permitted_mps,
+        believed.delay_s + believed.lag_s,
+        sum(forces_n) / believed.effective_mass_kg,
+    )
+
+
+@no_type_check
 def observe_member(
     member: Member,
     state: MemberState,
@@ -391,6 +410,7 @@ def observe_member(
         alarm=message.emergency,
         permitted_mps=permitted_mps,
         most_rise_mps2=rise_under(member, permitted_mps - state.measured_mps),
+        most_share=share_under(member, state, permitted_mps),
         period_s=period_s,
         most_mps2=member.most_mps2,
         plan=None if plans is None else plans.own,

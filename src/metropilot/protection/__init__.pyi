@@ -13,6 +13,7 @@ from .separation import separate as separate
 from .supervisor import admits_braking as admits_braking
 from .supervisor import approach_margin as approach_margin
 from .supervisor import on_grid as on_grid
+from .supervisor import passing_share as passing_share
 from .supervisor import periods_in_effect as periods_in_effect
 from .supervisor import permitted_speed as permitted_speed
 from .supervisor import spare_gap as spare_gap

@@ -202,7 +202,7 @@ def _service_rates(trainset: Trainset, bounds: Bounds) -> Rates:
 
 def _fading(bounds: Bounds, dtype: type) -> Fading:
     keep = float(np.exp(-bounds.dt_s / bounds.lag_s)) if bounds.lag_s > 0 else 0.0
-    return Fading(dtype(keep), dtype(bounds.jerk_mps3 * bounds.dt_s))
+    return Fading(dtype(keep), dtype(bounds.jerk_mps3 * bounds.dt_s), dtype(bounds.controlled))
 
 
 def _look_ahead(vehicle: Vehicle, rates: Rates, top_mps: float, pull_mps2: float, spacing_m: float) -> int:

@@ -264,7 +264,8 @@ class CommandCheck:
         return Brake(rates, ahead, pull, forces)
 
     def _in_time(self, brake: Brake, share: Scalar, margin_mps: Scalar) -> Scalar:
-        acting = self.xp.maximum(acceleration(brake.forces, self.share_bound(share)), self.fading)
+        fading = self._usual_fading() if brake is self.usual else self.fading
+        acting = self.xp.maximum(acceleration(brake.forces, self.share_bound(share)), fading)
         speed = self.speed_mps + brake.rates.speed_error_mps + margin_mps
         moving = speed, acting, brake.pull_mps2
         if self.xp is scalars:
@@ -274,6 +275,17 @@ class CommandCheck:
                 # every node is level, as most of the way; the rest takes ten times as long
                 return self.measured
         return self.measured & stays_under(brake.rates, brake.curve, self.distance_m, *moving)
+
+    def _usual_fading(self) -> Scalar:
+        """What is left of the acceleration for the service brake, on the nominal plant.
+
+        The acceleration remembered is that of the lightest trainset. Where the brakes are controlled it
+        leaves climbs out, and a trainset that holds its speed on one seemed to accelerate.
+        """
+        (push, _, coast), (usual_push, _, usual_coast) = self.worst.forces, self.usual.forces
+        share = (self.fading - coast) / self.xp.maximum(push, 1e-6)
+        nominal = share * self.xp.maximum(usual_push, 1e-6) + usual_coast
+        return self.xp.where(self.protection.fading.nominal > 0.0, nominal, self.fading)
 
     def _clear(self, share: Scalar, margin_mps: Scalar, rooms: float) -> Scalar:
         """True if the emergency brake decided one period from now keeps clear of the trainset ahead.
@@ -345,6 +357,47 @@ def approach_margin(protection: Protection, acceleration_mps2: Scalar) -> Scalar
         return most * rates.reaction_s + 0.5 * most * most / rates.jerk_mps3
 
     return xp.maximum(margin(protection.rates), margin(protection.service_rates))
+
+
+def passing_share(
+    protection: Protection,
+    position_m: Scalar,
+    speed_mps: Scalar,
+    permitted_mps: Scalar,
+    late_s: Scalar,
+    drag_mps2: Scalar,
+) -> Scalar:
+    """Largest traction, 0 to 1, with which a trainset stays under the limits of the line.
+
+    Protection reckons with the lightest trainset, and with no climb where the brakes are controlled: a heavy
+    one that accelerates little on a climb may ask for more than passes. For drivers that come up to a limit.
+
+    Args:
+        protection: Curves and bounds.
+        position_m: Position.
+        speed_mps: Measured speed.
+        permitted_mps: Permitted speed here, or a lower one to come.
+        late_s: Time after which a lower command acts.
+        drag_mps2: Resistance and gradient of the trainset.
+    """
+    xp = namespace(protection.start_m, position_m, speed_mps)
+    node, way = on_grid(protection, position_m)
+    lower_mps = _interpolate(protection.permitted_mps, node, way) - permitted_mps
+
+    def share(rates: Rates, curve: Array, pulls: Array) -> Scalar:
+        push, _, coast = fastest(
+            protection.vehicle, rates, speed_mps, xp.maximum(pulls[node], pulls[node + 1])
+        )
+        top_mps = (2.0 * _interpolate(curve, node, way)) ** 0.5 - lower_mps - EXPECTED_MPS
+        # until a lower command acts the trainset gains what it has over its drag, at most
+        room = top_mps - speed_mps - rates.speed_error_mps + late_s * (coast + drag_mps2)
+        room, time_s = xp.maximum(room, 0.0), rates.reaction_s + late_s
+        rise = 2.0 * room / (time_s + (time_s * time_s + 2.0 * room / rates.jerk_mps3) ** 0.5)
+        return (rise - coast) / xp.maximum(push, 1e-6)
+
+    worst = share(protection.rates, protection.emergency, protection.pull_mps2)
+    usual = share(protection.service_rates, protection.service, protection.usual_pull_mps2)
+    return xp.clip(xp.minimum(worst, usual), 0.0, 1.0)
 
 
 def on_grid(protection: Protection, position_m: Scalar) -> tuple[Index, Scalar]:

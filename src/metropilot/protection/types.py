@@ -40,10 +40,13 @@ class Fading(NamedTuple):
     Attributes:
         share: Share of a command's effect left after one period, at the longest lag.
         acceleration_mps2: Least fall of an acceleration in one period (infinite: at once).
+        nominal: 1 where the service brake is asked for by the acceleration that the nominal trainset keeps,
+            as that of the lightest one leaves climbs out; else 0.
     """
 
     share: Scalar
     acceleration_mps2: Scalar
+    nominal: Scalar
 
 
 class Protection(NamedTuple):

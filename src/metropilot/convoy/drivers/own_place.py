@@ -321,6 +321,7 @@ def command(
     # What a command adds against the lag counts for protection, too.
     most = xp.where(vehicle.lag_s > 0.0, xp.maximum(ahead.share_for(passes, lead=0.0), 0.0), 1.0)
     most = xp.minimum(most, most_share(observation.needs, observation.gap_m))
+    most = xp.minimum(most, observation.most_share)
     drag = ahead.resistance_mps2 + ahead.gradient_mps2
     share = start_command(ahead.share_for(wanted, lead=1.0), observation.speed_mps, drag, goes)
     share = xp.minimum(share, most)
