@@ -13,8 +13,10 @@ from importlib import import_module
 import pytest
 
 from metropilot.cli.app import COMMANDS
-from metropilot.convoy import FOLLOWERS
+from metropilot.cli.convoy import name_trainsets
+from metropilot.convoy import FOLLOWERS, ConvoyRequest
 from metropilot.drivers import DRIVERS
+from metropilot.evaluate import RunSpec
 from metropilot.sim import COLUMNS
 
 RUN = ("yizhuang", "RJ", "WYJ", "--time", "101")
@@ -144,6 +146,20 @@ def test_a_campaigns_table_breaks_between_words_only(capsys, monkeypatch, tmp_pa
     report({"drivers": rows, "campaign": "c", "done": 1, "rows": 1, "sitting": {"driven": 0}})
     said = capsys.readouterr().out
     assert whole(said, ("generalist", "improved_dqn", "median", "12.34", "1014"), width), said
+
+
+@pytest.mark.parametrize(
+    ("behind", "words"),
+    [
+        ((), "4 x dkz32 AW0"),
+        (("cheng2023",), "4 trainsets (dkz32 AW0, cheng2023, cheng2023, cheng2023)"),
+        (("cheng2023", "dkz32:AW3"), "4 trainsets (dkz32 AW0, cheng2023, dkz32:AW3, dkz32:AW3)"),
+    ],
+)
+def test_a_mixed_convoy_is_named_by_each_trainset(behind, words):
+    """`3 x dkz32 AW0, cheng2023, dkz32` read as five trainsets."""
+    head = RunSpec("yizhuang", "RJ", "WYJ", time_s=115.0, trainset="dkz32", dt_s=0.1)
+    assert name_trainsets(ConvoyRequest(head, count=4, behind=behind)) == words
 
 
 def test_a_convoy_leaves_a_trajectory_of_every_trainset(typed, tmp_path):

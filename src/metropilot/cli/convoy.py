@@ -129,11 +129,20 @@ def run_and_report(request: ConvoyRequest, out: Path | None, *, as_json: bool) -
     return 0 if kpis.success else 1
 
 
+def name_trainsets(request: ConvoyRequest) -> str:
+    """Trainsets of a convoy in words: their number, and each one of a mixed convoy."""
+    known, behind = request.head.resolve(), request.behind
+    head = f"{known.trainset} {known.load}"
+    if not behind:
+        return f"{request.count} x {head}"
+    each = (head, *behind, *behind[-1:] * (request.count - 1 - len(behind)))
+    return f"{request.count} trainsets ({', '.join(each)})"
+
+
 def report(request: ConvoyRequest, kpis: ConvoyKpis) -> None:
     """Print the convoy."""
     out, known = console(), request.head.resolve()
-    trainsets = ", ".join((f"{known.trainset} {known.load}", *request.behind))
-    where = f"{known.line} {known.origin} → {known.destination}, {request.count} x {trainsets}"
+    where = f"{known.line} {known.origin} → {known.destination}, {name_trainsets(request)}"
     style = "bold" if kpis.success else "bold red"
     out.print(f"{where}, {request.follower} behind {known.driver}: {kpis.verdict}", style=style)
     out.print(
