@@ -277,7 +277,7 @@ class CommandCheck:
         return self.measured & stays_under(brake.rates, brake.curve, self.distance_m, *moving)
 
     def _usual_fading(self) -> Scalar:
-        """What is left of the acceleration for the service brake, on the nominal plant.
+        """Acceleration left for the service brake, on the nominal plant.
 
         The acceleration remembered is that of the lightest trainset. Where the brakes are controlled it
         leaves climbs out, and a trainset that holds its speed on one seemed to accelerate.
