@@ -177,7 +177,7 @@ TRAINSET = [
         "actuation.lag",
         "30",
         "s",
-        "0 to 10 s",
+        "0 to 5 s",
     ),
     (
         "[energy]",

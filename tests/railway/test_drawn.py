@@ -96,9 +96,9 @@ def test_a_load_given_twice_is_refused_where_it_differs():
 @pytest.mark.parametrize(
     ("key", "words"),
     [
-        ("dkz32@40,0", "dead time out of range.*dkz32@40,0.*0 to 10 s"),
+        ("dkz32@40,0", "dead time out of range.*dkz32@40,0.*0 to 5 s"),
         ("dkz32@0,40", "lag out of range"),
-        ("dkz32@0.5", "not a dead time and a lag: 'dkz32@0.5'.*ID@DELAY,LAG, each 0 to 10 s"),
+        ("dkz32@0.5", "not a dead time and a lag: 'dkz32@0.5'.*ID@DELAY,LAG, each 0 to 5 s"),
         ("dkz32@nan,0", "not a dead time and a lag"),
         ("dkz32@-1,0:AW2", "not a dead time and a lag"),
         ("dkz@0.5", "unknown trainset.*ID@DELAY,LAG"),

@@ -1,4 +1,5 @@
 from dataclasses import replace
+from importlib.resources import files
 
 import numpy as np
 import pytest
@@ -277,6 +278,34 @@ class TestTrainset:
         assert ideal.actuation.jerk_limit_mps3 == np.inf
         assert ideal.safe_braking.buildup_s == 0.0
         assert ideal.safe_braking.emergency_deceleration_mps2 == 1.2
+
+    @pytest.mark.parametrize(
+        ("key", "value", "allowed"),
+        [
+            ("delay_s", -0.1, "0 to 10 s"),
+            ("lag_s", 30.0, "0 to 10 s"),
+            ("jerk_limit_mps3", 0.001, ">= 0.05 m/s\\^3, or inf"),
+            ("jerk_limit_mps3", np.nan, ">= 0.05"),
+        ],
+    )
+    def test_an_actuation_that_no_drive_ends_with_is_refused(self, key, value, allowed):
+        known = load_trainset("dkz32")
+        with pytest.raises(InputError, match=rf"dkz32: actuation.{key}: out of range.*{allowed}"):
+            replace(known, actuation=replace(known.actuation, **{key: value}))
+
+    @pytest.mark.parametrize(
+        ("old", "new", "allowed"),
+        [
+            ("delay = 0", "delay = 6", "0 to 5 s"),
+            ("lag = 0", "lag = 30", "0 to 5 s"),
+            ("jerk_limit = 1.0", "jerk_limit = 0.001", ">= 0.05 m/s\\^3, or inf"),
+        ],
+    )
+    def test_so_is_one_of_a_file(self, tmp_path, old, new, allowed):
+        text = (files("metropilot.railway") / "catalogue/trainsets/dkz32.toml").read_text(encoding="utf-8")
+        (tmp_path / "slow.toml").write_text(text.replace(f"\n{old}\n", f"\n{new}\n"))
+        with pytest.raises(InputError, match=rf"actuation.{old.split()[0]}: out of range.*{allowed}"):
+            load_trainset(tmp_path / "slow.toml")
 
     @pytest.mark.parametrize(
         ("field", "value"),

@@ -18,7 +18,7 @@ from metropilot.railway.day import ServiceDay
 from metropilot.railway.drawn import NAME as DRAWN_NAME
 from metropilot.railway.drawn import drawn_trainset
 from metropilot.railway.feeding import Feeding
-from metropilot.railway.formats.reader import COMMAND_TIME, Node, nearest
+from metropilot.railway.formats.reader import Node, nearest
 from metropilot.railway.formats.toml import line_document, read_journey, read_line, toml_text
 from metropilot.railway.formats.toml_day import read_day
 from metropilot.railway.formats.toml_feeding import read_feeding
@@ -26,7 +26,7 @@ from metropilot.railway.formats.toml_trainset import read_trainset, trainset_doc
 from metropilot.railway.formats.ttobench import read_ttobench
 from metropilot.railway.journey import Journey, planned_journey
 from metropilot.railway.line import Line
-from metropilot.railway.trainset import Trainset
+from metropilot.railway.trainset import COMMAND_TIME, Trainset
 
 Catalogued = Line | Trainset | Journey | Feeding | ServiceDay
 """Whatever a file describes."""

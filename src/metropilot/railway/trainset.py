@@ -8,10 +8,11 @@ from typing import Literal
 
 import numpy as np
 
+from metropilot._schema import Range
 from metropilot.errors import InputError
 from metropilot.railway.effort import Efficiency, EffortCurve
 from metropilot.railway.record import CatalogueRecord
-from metropilot.units import KMH_PER_MPS
+from metropilot.units import KMH_PER_MPS, si_unit
 
 CurveFormula = Literal["none", "600/r", "6.3/(r-55)"]
 POSITIVE_FIELDS = (
@@ -24,6 +25,11 @@ POSITIVE_FIELDS = (
 )
 LARGEST_PULL_MPS2 = 10.0
 """Traction over mass: more than its weight no trainset pulls; kg for t, or N for kN, is far beyond."""
+COMMAND_TIME = Range(0.0, 5.0)
+SERVICE_JERK = Range(0.05, 100.0, infinite=True)
+"""Dead times and lags of commands, and jerk limits, that a trainset may declare: others end no drive."""
+TRUE_TIME = Range(0.0, 2.0 * COMMAND_TIME.high)
+"""Dead time and lag of the true plant, which a run may make later by as much."""
 
 
 @dataclass(frozen=True)
@@ -177,6 +183,21 @@ class Trainset(CatalogueRecord):
             value = getattr(self, name)
             if not value > 0:
                 raise InputError("out of range", file=self.id, field=name, value=value, allowed="> 0")
+        for name, bounds, kind in (
+            ("delay_s", TRUE_TIME, "time"),
+            ("lag_s", TRUE_TIME, "time"),
+            ("jerk_limit_mps3", SERVICE_JERK, "jerk"),
+        ):
+            value = getattr(self.actuation, name)
+            if not bounds.admit(value):
+                raise InputError(
+                    "out of range",
+                    file=self.id,
+                    field=f"actuation.{name}",
+                    value=value,
+                    unit=si_unit(kind).name,
+                    allowed=bounds.describe(si_unit(kind)),
+                )
         for load, mass in self.loads.items():
             if not (np.isfinite(mass) and mass > 0):
                 raise InputError(

@@ -26,10 +26,7 @@ SHARE = Range(0.0, 1.0)
 EFFICIENCY = Range(0.0, 1.0, above=True)
 ACTUATION_TIME = Range(0.0, 30.0)
 """Reaction and build-up times of a brake: longer ones are a wrong unit, not a railway."""
-COMMAND_TIME = Range(0.0, 10.0)
-"""Dead time and lag of a command."""
 SERVICE_RATE = Range(0.01, 10.0, infinite=True)
-SERVICE_JERK = Range(0.05, 100.0, infinite=True)
 """Bounds of service; a wider one than these is none, ``inf``."""
 EMERGENCY_RATE = Range(0.1, 30.0)
 EMERGENCY_JERK = Range(0.05, infinite=True)

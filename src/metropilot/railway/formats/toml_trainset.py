@@ -14,14 +14,12 @@ from metropilot.railway.effort import Efficiency, EffortCurve, EffortPiece
 from metropilot.railway.formats.reader import (
     ACTUATION_TIME,
     ANY,
-    COMMAND_TIME,
     EFFICIENCY,
     EMERGENCY_JERK,
     EMERGENCY_RATE,
     NOT_NEGATIVE,
     POSITIVE,
     POSITIVE_OR_NONE,
-    SERVICE_JERK,
     SERVICE_RATE,
     SHARE,
     Column,
@@ -30,7 +28,16 @@ from metropilot.railway.formats.reader import (
     nearest,
 )
 from metropilot.railway.formats.toml import Document, header, with_sources, write_document
-from metropilot.railway.trainset import Actuation, Couplers, CurveFormula, Davis, SafeBraking, Trainset
+from metropilot.railway.trainset import (
+    COMMAND_TIME,
+    SERVICE_JERK,
+    Actuation,
+    Couplers,
+    CurveFormula,
+    Davis,
+    SafeBraking,
+    Trainset,
+)
 from metropilot.units import STANDARD_GRAVITY_MPS2, Unit, pick, si_unit, unit
 
 GRAVITY = Range(9.0, 10.5)
