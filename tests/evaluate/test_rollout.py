@@ -43,8 +43,12 @@ def test_who_never_departs_is_not_early(request_rj, scripted):
     assert (on_time.name, on_time.value, on_time.passed) == ("on time", "stalled", False)
 
 
-@pytest.mark.parametrize("given", [None, "a"])
-def test_a_command_that_is_no_number_names_the_driver(request_rj, given):
+@pytest.mark.parametrize(
+    ("given", "told"),
+    [(None, "None"), ("a", "'a'"), (10**400, "too large an integer"), (np.complex128(1j), "1j")],
+    ids=["none", "text", "integer", "complex"],
+)
+def test_a_command_that_is_no_number_names_the_driver(request_rj, given, told):
     class Wordy(AbstractDriver):
         id = "wordy"
 
@@ -54,7 +58,7 @@ def test_a_command_that_is_no_number_names_the_driver(request_rj, given):
         def act(self, memory, observation):
             return given, None
 
-    with pytest.raises(InputError, match=rf"driver: a command that is no number: .wordy: {given!r}") as found:
+    with pytest.raises(InputError, match=rf"driver: a command that is no number: .wordy: {told}") as found:
         drive(request_rj.run(), Wordy())
     assert found.value.allowed == "a number from -1 to 1"
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from typing import Any, ClassVar, TypeVar
 
+import numpy as np
+
 from metropilot._registry import Registry
 from metropilot.errors import InputError
 from metropilot.sim.run import Observation, Run
@@ -62,10 +64,13 @@ def read_command(driver: AbstractDriver, given: object) -> float:
     Raises:
         InputError: It is no number at all.
     """
+    if isinstance(given, np.complexfloating):
+        given = complex(given)  # of NumPy's own, float takes the real part, with a warning only
     try:
         return float(given)  # pyright: ignore[reportArgumentType]
-    except (TypeError, ValueError):
-        told = f"{driver.id}: {given!r}"
+    except (TypeError, ValueError, OverflowError):
+        # an integer that is too large for a float may be too long to print
+        told = f"{driver.id}: {'too large an integer' if isinstance(given, int) else repr(given)}"
         allowed = "a number from -1 to 1"
         raise InputError("a command that is no number", field="driver", value=told, allowed=allowed) from None
 
