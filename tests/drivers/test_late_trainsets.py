@@ -8,7 +8,7 @@ import pytest
 from metropilot.drivers import DRIVERS
 from metropilot.evaluate import RunSpec
 from metropilot.planning import minimum_running_time
-from metropilot.railway import Actuation, Line, Station, Steps, load_line, load_trainset
+from metropilot.railway import Actuation, Line, Section, Station, Steps, load_line, load_trainset
 from metropilot.sim import Disturbance, Outcome, Run, drive
 
 PLACES = {
@@ -159,14 +159,42 @@ def test_a_lag_leaves_no_more_of_the_brake_at_the_stand_than_the_jerk_limit_lets
     driver, trainset, actuation, length_m, time_s
 ):
     """The jerk at the stop was 1.17, 1.19, 1.02, 1.24 and 1.37 times the limit."""
-    level = Steps(np.zeros(1), np.zeros(1))
-    stations = (Station("A", "Alpha", 0.0), Station("B", "Beta", length_m))
-    limit = Steps(np.zeros(1), np.array([80.0 / 3.6]))
-    section = Line("level", "level", stations, limit, level).section("A", "B")
+    section = even_section(length_m, 80.0, 0.0)
     late = replace(load_trainset(trainset), actuation=Actuation(*actuation))
     done = drive(Run(section, late, time_s, dt=0.1), DRIVERS.make(driver))
     assert np.abs(done.trajectory.jerk_mps3).max() <= 1.001 * actuation[2]
     assert abs(done.trajectory.position_m[-1] - length_m) <= 0.02
+    assert done.interventions == 0
+
+
+def even_section(length_m: float, limit_kmh: float, gradient_permil: float) -> Section:
+    """A section with one limit and one gradient."""
+    stations = (Station("A", "Alpha", 0.0), Station("B", "Beta", length_m))
+    limit, gradient = (
+        Steps(np.zeros(1), np.array([limit_kmh / 3.6])),
+        Steps(np.zeros(1), np.array([gradient_permil])),
+    )
+    return Line("even", "even", stations, limit, gradient).section("A", "B")
+
+
+@pytest.mark.parametrize(
+    ("driver", "trainset", "actuation", "place", "time_s", "dt"),
+    [
+        # a dead time that is no whole number of periods: the command before has its part in the last one
+        ("mpc", "cheng2023", (0.29, 0.36, 0.41), (238.1, 76.2, 0.0), 34.4, 0.5),
+        ("optimal", "drawn-9-108", (0.52, 0.18, 0.62), (678.12, 36.54, 0.0), 100.338, 1.0),
+        # foreseen to stand, they crept up a climb and were braked
+        ("eitoe", "drawn-8-82", (0.12, 0.42, 0.45), (246.2, 105.6, 31.1), 35.2, 0.1),
+        ("eitoe", "drawn-8-115", (0.47, 0.21, 0.58), (413.1, 83.4, 18.0), 45.8, 0.1),
+    ],
+)
+def test_the_last_periods_of_a_late_brake_keep_the_jerk_limit(driver, trainset, actuation, place, time_s, dt):
+    """The jerk at the stop was 1.1, 1.12, 1.8 and 2.4 times the limit."""
+    section = even_section(*place)
+    late = replace(load_trainset(trainset), actuation=Actuation(*actuation))
+    done = drive(Run(section, late, time_s, dt=dt), DRIVERS.make(driver))
+    assert np.abs(done.trajectory.jerk_mps3).max() <= 1.001 * actuation[2]
+    assert abs(done.trajectory.position_m[-1] - section.length_m) <= 0.1
     assert done.interventions == 0
 
 

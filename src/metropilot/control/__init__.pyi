@@ -43,6 +43,7 @@ from .prediction import acting_command as acting_command
 from .prediction import actuation_of as actuation_of
 from .prediction import predict_motion as predict_motion
 from .prediction import predict_path as predict_path
+from .prediction import whole_periods as whole_periods
 from .stopping import AT_ONCE_MPS3 as AT_ONCE_MPS3
 from .stopping import LAG_SOFT_M as LAG_SOFT_M
 from .stopping import LAG_STOP as LAG_STOP

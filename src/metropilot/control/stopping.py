@@ -30,7 +30,7 @@ from numpy import ndarray
 
 from metropilot._typing import Flag, Float, Scalar
 from metropilot.control.estimator import StateEstimate
-from metropilot.control.prediction import Model, PredictedState
+from metropilot.control.prediction import Model, PredictedState, whole_periods
 from metropilot.physics import Track, Vehicle, effort_at, namespace, repeat, resistance_and_gradient, scalars
 
 SERVICE_USE = 0.95
@@ -82,7 +82,8 @@ class StopOptions:
         at_once_gain: The same for a trainset without a jerk limit.
         inch_m: Distance to the target below which a trainset at standstill is not moved again, m.
         push_m: Distance to the target below which no traction is applied, m.
-        hold_mps2: Least deceleration requested at standstill, m/s^2.
+        hold_mps2: Deceleration requested at standstill, m/s^2; the jerk limit lets it drop.
+        held_share: Share of a climb that traction may bear there; the rest is for what is not known of it.
         creep_mps: Speed below which the stop is no longer corrected within ``creep_m``, m/s.
         creep_m: Distance to the target below which a creeping trainset is stopped, m.
         past_m: Farther past the target than this it is better to stand with all the jerk limit allows, m.
@@ -107,6 +108,7 @@ class StopOptions:
     inch_m: float = 0.2
     push_m: float = 0.2
     hold_mps2: float = 0.1
+    held_share: float = 0.85
     creep_mps: float = 0.06
     creep_m: float = 0.0
     past_m: float = 0.1
@@ -524,11 +526,13 @@ def stop_command(
         options: Constants of the stop.
     """
     v, distance = ahead.speed_mps, target_m - ahead.position_m
+    jerk, lag = float(model.vehicle.jerk_mps3), float(model.vehicle.lag_s)
     if v <= 0 and distance < options.inch_m:
-        wanted = -max(curve.end_mps2, options.hold_mps2)
-        return Stop(ahead.share_for(wanted), 0.0, 0.0, ahead, distance)
-    vehicle = model.vehicle
-    jerk, lag = float(vehicle.jerk_mps3), float(vehicle.lag_s)
+        # who is foreseen to stand may still creep
+        hold = max(curve.end_mps2, min(options.hold_mps2, options.drop_share * jerk * model.dt))
+        drag = ahead.resistance_mps2 + ahead.gradient_mps2
+        share = ahead.command_for(min(drag - hold, options.held_share * max(drag, 0.0)))
+        return Stop(share, 0.0, 0.0, ahead, distance)
     if draws_up(v, ahead.acceleration_mps2, distance, jerk, lag, options):
         return Stop(ahead.share_for(options.draw_up_mps2), 0.0, 0.0, ahead, distance)
     demand = stop_deceleration(v, ahead.acceleration_mps2, distance, curve, model.dt, options)
@@ -540,10 +544,11 @@ def stop_command(
 
 
 def _share_in(model: Model, ahead: PredictedState, wanted_mps2: float, options: StopOptions) -> float:
-    """:func:`share_to_stand` for a declared lag; one that is only estimated is not compensated in full."""
-    if float(model.vehicle.lag_s) <= 0.0:
+    """:func:`share_to_stand` for what is declared: a lag that is estimated is not compensated in full."""
+    _, part = whole_periods(round(float(model.vehicle.delay_s) / model.dt, 6))
+    if float(model.vehicle.lag_s) <= 0.0 and part <= 0.0:
         return ahead.share_for(wanted_mps2)
-    return share_to_stand(ahead, wanted_mps2, float(model.vehicle.jerk_mps3), model.dt, options)
+    return share_to_stand(ahead, wanted_mps2, float(model.vehicle.jerk_mps3), model.dt, part, options)
 
 
 def share_to_stand(
@@ -551,26 +556,37 @@ def share_to_stand(
     wanted_mps2: float,
     jerk_mps3: float,
     dt: float,
+    part: float = 0.0,
     options: StopOptions = STOP_OPTIONS,
 ) -> float:
     """Compute the command for an acceleration wanted on the way to a stand.
 
     No later period makes up for what a lag leaves of the brake in the last one: where that is more than the
-    jerk limit lets drop, the lag is compensated in full.
+    jerk limit lets drop, the lag is compensated in full. Where a dead time is no whole number of periods, the
+    command before has its part in the period, too.
 
     Args:
         ahead: State when the command begins to act.
         wanted_mps2: Acceleration wanted.
         jerk_mps3: Jerk limit.
         dt: Control period, s.
+        part: Part of a period by which the dead time exceeds whole ones.
         options: Constants of the stop.
     """
     share, drop = ahead.share_for(wanted_mps2), jerk_mps3 * dt
     acting = min(share + (ahead.share - share) * ahead.keep, 0.0)
     left = ahead.resistance_mps2 + ahead.gradient_mps2 - acting * ahead.brake_mps2
     left = max(left, -ahead.acceleration_mps2 - drop)
-    stands_hard = left > options.left_share * drop and ahead.speed_mps <= left * dt
-    return ahead.share_for(wanted_mps2, lead=1.0) if stands_hard else share
+    most, least = options.left_share * drop, ahead.speed_mps / dt
+    if least > (1.0 - part) * left:
+        # it stands in the next period of the plant, which this command begins, if at all
+        stands_hard = left > most and least <= left
+        return ahead.share_for(wanted_mps2, lead=1.0) if stands_hard else share
+    before = -part * ahead.acceleration_mps2
+    if (1.0 - part) * left + before <= most:
+        return share
+    gently = max(most - before, least, options.end_share * drop) / (1.0 - part)
+    return ahead.share_for(max(wanted_mps2, -gently), lead=1.0)
 
 
 @no_type_check

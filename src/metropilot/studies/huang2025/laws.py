@@ -55,6 +55,7 @@ from metropilot.control import (
     stop_deceleration,
     strongest,
     weighs_load,
+    whole_periods,
 )
 from metropilot.physics import effort_at, least_between, mean_slopes, scalars
 from metropilot.planning import (
@@ -823,9 +824,12 @@ def stop_share(
     if stands or (v < CREEPS_PAST_MPS and distance < -PAST_M):
         # past the mark so low a speed asks for less than the error of the resistance: it would creep on
         # on a fall what holds on the level would only just balance it
-        holds = -max(curve.end_mps2, STOP_OPTIONS.hold_mps2, STOP_OPTIONS.hold_mps2 - ahead.resistance_mps2)
-        gently = min(ahead.resistance_mps2 - STOP_OPTIONS.drop_share * ground.jerk_mps3 * dt, 0.0)
-        return ahead.command_for(holds if stands else max(gently, holds)), True
+        drag = ahead.resistance_mps2
+        holds = -max(curve.end_mps2, STOP_OPTIONS.hold_mps2, STOP_OPTIONS.hold_mps2 - drag)
+        gently = drag - STOP_OPTIONS.drop_share * ground.jerk_mps3 * dt
+        # who is foreseen to stand may still creep: even on a climb it stands gently
+        gently = min(gently, STOP_OPTIONS.held_share * max(drag, 0.0))
+        return ahead.command_for(max(gently, holds)), True
     near_m = CRAWL_M + LATE_CRAWL_MPS * (actuation.seconds + actuation.lag_s)
     # an emergency brake may let go of a trainset that still moves, and the stop's curve would keep it at that
     slows = (a < 0.0) & ((v >= STOP_OPTIONS.creep_mps) | (distance <= CRAWL_M))
@@ -861,4 +865,5 @@ def stop_share(
     if actuation.lag_s > 0.0:
         settles, gently = settle(v, a, distance, ground.jerk_mps3, dt, 0.0, 0.0, LAG_STOP)
         wanted = gently if settles else wanted
-    return share_to_stand(ahead, wanted, ground.jerk_mps3, dt), True
+    _, part = whole_periods(actuation.delay_steps)
+    return share_to_stand(ahead, wanted, ground.jerk_mps3, dt, part), True
