@@ -10,12 +10,13 @@ import pytest
 from metropilot.errors import InputError
 from metropilot.evaluate import checks, kpis_of
 from metropilot.physics import at_rest, track_arrays, vehicle_arrays
-from metropilot.railway import Restriction
+from metropilot.railway import Line, Restriction, Station, Steps, load_trainset
 from metropilot.sim import (
     AbstractDriver,
     Disturbance,
     Outcome,
     Rollout,
+    Run,
     TimetableUpdate,
     drive,
     overspeed_in_period,
@@ -69,6 +70,20 @@ def test_who_never_brakes_overshoots_and_is_kept_under_the_limit(request_rj, scr
     assert driven.max_overspeed_mps == 0.0
     assert driven.interventions > 0
     assert driven.overruled.any()
+
+
+@pytest.mark.parametrize(("share", "kept"), [(0.3, True), (1.0, False)])
+def test_a_gradient_jerks_only_a_trainset_with_nothing_to_spare(scripted, share, kept):
+    stations = (Station("A", "Alpha", 0.0), Station("B", "Beta", 2000.0))
+    limit, gradient = (
+        Steps(np.zeros(1), np.array([25.0])),
+        Steps(np.array([0.0, 250.0]), np.array([-20.0, 39.0])),
+    )
+    section = Line("step", "step", stations, limit, gradient).section("A", "B")
+    trainset = replace(load_trainset("dkz32"), length_m=0.0)
+    way = drive(Run(section, trainset, 200.0), scripted(lambda _: share)).trajectory
+    over = (way.position_m > 200.0) & (way.position_m < 300.0)
+    assert (np.abs(way.jerk_mps3[over]).max() <= 1.0 + 1e-9) == kept
 
 
 def test_who_creeps_runs_out_of_time(request_rj, scripted):
