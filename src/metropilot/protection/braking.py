@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 from numpy import ndarray
@@ -21,7 +22,6 @@ from metropilot.physics import (
 from metropilot.protection.bounds import Bounds
 from metropilot.protection.curves import protect
 from metropilot.protection.predict import highest_speed
-from metropilot.protection.supervisor import permitted_speed
 from metropilot.protection.types import Protection, Rates
 from metropilot.railway import Section, Trainset
 
@@ -33,7 +33,7 @@ LEAST_SHARE = 0.4
 COARSE_M = 4.0
 """Distance between the places before the end where that is computed."""
 BINDS_MPS = 0.05
-"""The end of the authority counts where it takes this much off the permitted speed."""
+"""The end of the authority counts where it takes this much off the speed that can be held."""
 
 
 def permitted_braking(
@@ -133,7 +133,9 @@ def usable_deceleration(section: Section, trainset: Trainset, bounds: Bounds) ->
     guard, track = protect(section, trainset, bounds), track_arrays(section, trainset)
     at = np.arange(0.0, section.length_m, COARSE_M)
     speed = permitted_before_end(guard, track, at)
-    free = np.flatnonzero(speed >= permitted_speed(guard, at) - BINDS_MPS)
+    # what a climb takes of the speed that is held, line limits and all, is not the end's doing
+    endless = protect(replace(section, authority=None), trainset, bounds)
+    free = np.flatnonzero(speed >= permitted_before_end(endless, track, at) - BINDS_MPS)
     binds = slice(free[-1] + 1 if free.size else 0, None)
     held = (USABLE_SHARE * speed[binds]) ** 2 / (2.0 * (section.length_m - at[binds]))
     return min(most, max(float(held.min(initial=np.inf)), LEAST_USABLE_MPS2))
