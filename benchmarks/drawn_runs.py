@@ -70,7 +70,7 @@ class DrawnRun:
         driver: Driver.
         past_m: Distance beyond the mark at the end, negative short of it.
         late_s: Arrival after the scheduled one.
-        jerk: Largest jerk over the limit; zero without one.
+        jerk: Largest jerk over the limit, that of the stop included; zero without one.
         interventions: Interventions of protection.
         overspeed_mps: Largest excess over a limit.
         stood: True if it stood between departure and mark.
@@ -141,12 +141,13 @@ def drive_run(run: Run, drivers: Sequence[str]) -> Iterator[DrawnRun]:
         way, length_m = done.trajectory, run.section.length_m
         # a gradient that changes under the trainset is not the driver's doing
         own = np.diff(way.acceleration_mps2 + way.gradient_n / mass_kg)[1:-1] / run.dt
+        jerk, stop = np.abs(way.jerk_mps3[:-1]).max(), abs(way.jerk_mps3[-1])
         on_the_way = (way.position_m > 1.0) & (way.position_m < length_m - MARK_M)
         yield DrawnRun(
             driver=driver,
             past_m=float(way.position_m[-1]) - length_m,
             late_s=done.running_time_s - run.scheduled_time_s,
-            jerk=min(float(np.abs(own).max()), float(np.abs(way.jerk_mps3).max())) / limit,
+            jerk=float(max(min(np.abs(own).max(), jerk), stop)) / limit,
             interventions=done.interventions,
             overspeed_mps=float(done.max_overspeed_mps),
             stood=bool((way.speed_mps[on_the_way] <= 0.0).any()),
@@ -228,7 +229,8 @@ def main() -> None:
         "limit of 0.5 to 1.3 m/s³; 1.05 to 1.4 times the minimum running time, which knows neither "
         f"protection nor actuation; control periods of {periods} s. Beyond and short of the mark count from "
         f"{MARK_M} m on, later and earlier from {LATE_S:g} s on, later only where `flat_out` is at least "
-        f"{SPARE_S} s early, the jerk, without that of a changing gradient, from {JERK} times its limit on."
+        f"{SPARE_S} s early, the jerk, also at the stop, without that of a gradient, from {JERK} times "
+        "its limit on."
     )
     every, steep = (", ".join(f"{x:g}" for x in values) for values in (PIECE_M, STEEP_PERMIL))
     free = (
