@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from tests.sections import section_of
 
 from metropilot.drivers import DRIVERS
 from metropilot.evaluate import RunSpec
@@ -206,3 +207,14 @@ def test_a_lag_that_is_not_declared_is_allowed_for_in_the_last_brake():
     done = drive(run, DRIVERS.make("optimal"))
     assert done.interventions == 0
     assert np.abs(done.trajectory.jerk_mps3).max() <= 1.05 * trainset.actuation.jerk_limit_mps3
+
+
+@pytest.mark.parametrize("driver", ["eitoe", "eitop", "ston"])
+def test_a_trainset_that_creeps_past_the_mark_is_not_held_up_by_traction(driver):
+    """On a climb traction bore all of it but what is not known: it crept on for 50 s, 1.4 m."""
+    limits = {0.0: 13.42374378 * 3.6, 127.5017522: 34.61440143 * 3.6, 421.69245242: 12.14492659 * 3.6}
+    section = section_of(538.60716008, limits, {0.0: 13.24992147, 537.8457493: 2.0977361})
+    trainset = replace(load_trainset("drawn-26-54"), actuation=Actuation(0.02, 0.24, 0.54))
+    done = drive(Run(section, trainset, 63.320262, dt=0.1), DRIVERS.make(driver))
+    assert done.outcome is Outcome.ARRIVED
+    assert abs(float(done.trajectory.position_m[-1]) - section.length_m) <= 0.1

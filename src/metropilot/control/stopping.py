@@ -84,6 +84,8 @@ class StopOptions:
         push_m: Distance to the target below which no traction is applied, m.
         hold_mps2: Deceleration requested at standstill, m/s^2; the jerk limit lets it drop.
         held_share: Share of a climb that traction may bear there; the rest is for what is not known of it.
+        gentle_m: Farther past the target than this the deceleration is requested in full: where more is not
+            known of a climb, a trainset foreseen to stand would creep on, m.
         creep_mps: Speed below which the stop is no longer corrected within ``creep_m``, m/s.
         creep_m: Distance to the target below which a creeping trainset is stopped, m.
         past_m: Farther past the target than this it is better to stand with all the jerk limit allows, m.
@@ -109,6 +111,7 @@ class StopOptions:
     push_m: float = 0.2
     hold_mps2: float = 0.1
     held_share: float = 0.85
+    gentle_m: float = 0.02
     creep_mps: float = 0.06
     creep_m: float = 0.0
     past_m: float = 0.1
@@ -528,6 +531,9 @@ def stop_command(
     v, distance = ahead.speed_mps, target_m - ahead.position_m
     jerk, lag = float(model.vehicle.jerk_mps3), float(model.vehicle.lag_s)
     if v <= 0 and distance < options.inch_m:
+        if distance < -options.gentle_m:
+            wanted = -max(curve.end_mps2, options.hold_mps2)
+            return Stop(ahead.share_for(wanted), 0.0, 0.0, ahead, distance)
         # who is foreseen to stand may still creep
         hold = max(curve.end_mps2, min(options.hold_mps2, options.drop_share * jerk * model.dt))
         drag = ahead.resistance_mps2 + ahead.gradient_mps2

@@ -33,7 +33,7 @@ from typing import Any, NamedTuple, no_type_check
 import numpy as np
 
 from metropilot._schema import CheckedFields, declare
-from metropilot._typing import Array, Float, Scalar
+from metropilot._typing import Array, Flag, Float, Scalar
 from metropilot.control import (
     AT_ONCE_MPS3,
     LAG_STOP,
@@ -806,6 +806,22 @@ def _at_balise(hoa: Hoa, ground: ExpertTrack, x: float, v: float, work: tuple[fl
     return hoa._replace(gain=gain, passed=hoa.passed + 1, speed_mps=v, effort_jpkg=0.0, drag_jpkg=0.0)
 
 
+def _share_at_stand(
+    ground: ExpertTrack, ahead: PredictedState, curve: StopCurve, dt: float, *, stands: Flag
+) -> float:
+    """The command at the mark of a trainset that is foreseen to stand, or creeps on past it."""
+    # past the mark so low a speed asks for less than the error of the resistance: it would creep on
+    # on a fall what holds on the level would only just balance it
+    drag, distance = ahead.resistance_mps2, ground.length_m - ahead.position_m
+    holds = -max(curve.end_mps2, STOP_OPTIONS.hold_mps2, STOP_OPTIONS.hold_mps2 - drag)
+    if stands and distance < -STOP_OPTIONS.gentle_m:
+        return ahead.command_for(holds)
+    gently = drag - STOP_OPTIONS.drop_share * ground.jerk_mps3 * dt
+    # who is foreseen to stand may still creep: even on a climb it stands gently
+    most = STOP_OPTIONS.held_share * max(drag, 0.0) if distance >= -STOP_OPTIONS.gentle_m else 0.0
+    return ahead.command_for(max(min(gently, most), holds))
+
+
 def stop_share(
     hoa: Hoa, ground: ExpertTrack, actuation: CommandActuation, ahead: PredictedState, curve: StopCurve
 ) -> tuple[float, bool]:
@@ -822,14 +838,7 @@ def stop_share(
     dt, a = actuation.dt, ahead.acceleration_mps2
     stands = v <= 0.0 and distance < STOP_OPTIONS.inch_m
     if stands or (v < CREEPS_PAST_MPS and distance < -PAST_M):
-        # past the mark so low a speed asks for less than the error of the resistance: it would creep on
-        # on a fall what holds on the level would only just balance it
-        drag = ahead.resistance_mps2
-        holds = -max(curve.end_mps2, STOP_OPTIONS.hold_mps2, STOP_OPTIONS.hold_mps2 - drag)
-        gently = drag - STOP_OPTIONS.drop_share * ground.jerk_mps3 * dt
-        # who is foreseen to stand may still creep: even on a climb it stands gently
-        gently = min(gently, STOP_OPTIONS.held_share * max(drag, 0.0))
-        return ahead.command_for(max(gently, holds)), True
+        return _share_at_stand(ground, ahead, curve, dt, stands=stands), True
     near_m = CRAWL_M + LATE_CRAWL_MPS * (actuation.seconds + actuation.lag_s)
     # an emergency brake may let go of a trainset that still moves, and the stop's curve would keep it at that
     slows = (a < 0.0) & ((v >= STOP_OPTIONS.creep_mps) | (distance <= CRAWL_M))
