@@ -88,7 +88,7 @@ def test_who_is_guaranteed_the_service_brake_may_use_all_of_it():
 
 @pytest.mark.parametrize("driver", ["optimal", "generalist"])
 def test_a_climb_takes_nothing_of_the_stop_that_is_left(driver):
-    """What a climb takes of the speed that is held was taken for the end's: 0.13 m/s2, 18 s late."""
+    """The speed that a climb takes from who holds it was taken for the end's: 0.13 m/s2, 18 s late."""
     late = replace(trainset("ch_stadler_flirt_tpf"), actuation=Actuation(0.27, 0.5, 0.93))
     climb, level = (section_of(574.0, {-600.0: 72.0}, {-600.0: g}) for g in (26.0, 0.0))
     usable = [usable_deceleration(each, late, Bounds.of(late, 0.5)) for each in (climb, level)]
