@@ -103,6 +103,7 @@ def test_the_order_of_energies_counts_who_arrives_as_the_table_does():
     )
     learned = {"ppo": [there, there], "ddpg": [stands, there, stands], "ppo_scaled": [stands]}
     assert "most first: PPO 14.0 kWh, DDPG 14.0 kWh. The paper" in study._order(learned)
+    assert "most first: none arrives. The paper" in study._order({"ppo_scaled": [stands]})
     rows = energy_rows({"ddpg": learned["ddpg"]}, lambda _: None)
     (row,) = (each for each in rows if (each.kpi, each.case) == ("final energy", DRIVING))
     assert row.ours == 14.0

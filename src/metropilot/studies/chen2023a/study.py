@@ -204,7 +204,7 @@ def _order(learned: Courses) -> str:
     there = {name: arrived for name, mine in learned.items() if (arrived := arriving(mine))}
     energy = {n: float(np.median([final(o.driving["energy_kwh"]) for o in m])) for n, m in there.items()}
     order = sorted(energy, key=lambda name: -energy[name])
-    words = ", ".join(f"{NAMES[name]} {energy[name]:.1f} kWh" for name in order)
+    words = ", ".join(f"{NAMES[name]} {energy[name]:.1f} kWh" for name in order) or "none arrives"
     return (
         f"Energy of the policies that arrive, most first: {words}. The paper has DDPG far above PPO with "
         "reward scaling, and plain PPO lowest because it is late."
