@@ -192,6 +192,16 @@ BAD = [
     (("learn", "ppo", "--set", "gamma=2"), "gamma: out of range"),
     (("learn", "ppo", "--steps", "0"), "steps: out of range"),
     (("learn", "ppo", "--task", "driv"), "did you mean drive"),
+    (
+        ("learn", "ppo", "--sections", "RJ-WYJ"),
+        "sections: sections of no line: 'RJ-WYJ' (allowed",
+    ),
+    (("learn", "ppo", "--line", "yizhuang", "--sections", "RJ"), "allowed: ORIGIN-DESTINATION"),
+    (("learn", "ppo", "--line", "nowhere.toml"), "nowhere.toml: cannot be read"),
+    (
+        ("learn", "eitop", "--line", "yizhuang"),
+        "task: the task has sections and trainsets of its own",
+    ),
     (("learn", "generalist", "--task", "drive"), "demonstrations exist only for random sections"),
     (("learn", "ppo", "--budget", "huge"), "allowed: quick, paper"),
     (("learn", "--resume", "nowhere"), "no such run"),
@@ -227,6 +237,28 @@ def test_a_folder_that_holds_a_run_is_not_written_over(run_folder, program):
     said = program(*LEARN, "--out", run_folder[0])
     assert said.code == 2
     assert "holds a run already" in said.err
+
+
+def test_a_resumed_run_stays_on_its_line(run_folder, metropilot):
+    said = metropilot("learn", "--resume", run_folder[0], "--line", "yizhuang")
+    assert said.code == 2
+    assert "line: a resumed run keeps its settings: 'yizhuang'" in said.err
+
+
+def test_a_driver_is_learned_on_a_line_of_ones_own(metropilot, program, tmp_path):
+    from metropilot.railway import document_text
+
+    line = tmp_path / "mine.toml"
+    line.write_text(document_text("line", "yizhuang"), encoding="utf-8")
+    there = ("--line", line, "--sections", "CQN-JHL", "--trainset", "dkz32@0.5,0.3", "--load", "AW2")
+    done = answer(program(*LEARN, *there, "--out", tmp_path / "there", "--json"))
+    about = {"line": "line.toml", "sections": "CQN-JHL", "trainset": "dkz32@0.5,0.3", "load": "AW2"}
+    assert (done["status"], done["about"]) == ("done", about | {"name": "drive_both"})
+    assert f"--line {line} --sections CQN-JHL --trainset dkz32@0.5,0.3 --load AW2 --budget" in done["command"]
+    line.unlink()
+    assert answer(metropilot("learn", "--resume", tmp_path / "there", "--json")) == done
+    _, told = load_policy(tmp_path / "there" / "policy.safetensors")
+    assert told["task"] == done["about"]
 
 
 def test_examples_name_what_there_is():

@@ -16,7 +16,6 @@ from metropilot.errors import InputError
 
 if TYPE_CHECKING:
     from metropilot.cli.show_learned import PolicyFile
-    from metropilot.railway import Line, Section
 
 FORMATS = ("onnx", "c", "wasm")
 TRAINSET = "dkz32"
@@ -145,7 +144,7 @@ def write_c(
     else:
         name, file = find_policy(what)
         driver, policy = load_driving_policy(file.path), str(file.path)
-    chosen = choose_sections(load_line(str(line)), sections)
+    chosen = load_line(str(line)).select_sections(sections)
     with show_activity(f"writing {out}"):
         program = trace_driver(name, driver, chosen, known, number=number)
         report = write_driver(program, Path(str(out)), compiler=compiler)
@@ -161,26 +160,6 @@ def write_c(
     console().print(table(f"{what} as {to}, under protection", ("", "value", ""), rows, right=(1,)))
     console().print(f"Written to {report.folder}: {' '.join(report.files)}")
     return 0
-
-
-def choose_sections(line: Line, sections: str | None) -> list[Section]:
-    """Sections of a line: those named, ``ORIGIN-DESTINATION,...``, or all of them both ways.
-
-    Raises:
-        InputError: A name is not that of two stations.
-    """
-    if sections is None:
-        return [*line.sections(), *line.sections(backward=True)]
-    found = []
-    for word in sections.split(","):
-        ends = word.split("-")
-        if len(ends) != 2:
-            raise InputError("not a section", field="sections", value=word, allowed="ORIGIN-DESTINATION,...")
-        section = line.section(*ends)
-        if section in found:
-            raise InputError("section named twice", field="sections", value=word, allowed="each section once")
-        found.append(section)
-    return found
 
 
 def find_policy(what: str) -> tuple[str, PolicyFile]:

@@ -12,6 +12,7 @@ import typer
 
 from metropilot.cli import options as opt
 from metropilot.cli.console import print_json
+from metropilot.env import TaskSite
 from metropilot.errors import InputError
 
 if TYPE_CHECKING:
@@ -22,11 +23,13 @@ EXAMPLES = {
     "learn": (
         "metropilot learn ppo_scaled --budget quick --out mine",
         "metropilot learn sac --task drive_jerk --steps 200000 --set batch_size=128 --seed 1",
+        "metropilot learn ppo --line zurich-stadelhofen --trainset ch_stadler_flirt_tpf --out zurich",
         "metropilot learn --resume mine",
     ),
 }
 
 
+@opt.with_run_options(only=(), more=opt.options_of(TaskSite, ASKED))
 def learn_command(
     driver: Annotated[
         str | None, typer.Argument(help="Driver to learn: ppo, ppo_scaled, ddpg, sac, naf, dqn, ...")
@@ -69,6 +72,7 @@ def learn_command(
         bool, typer.Option("--tensorboard", help="Write event files, too.", rich_help_panel=opt.OUTPUT)
     ] = False,
     as_json: opt.Json = False,
+    **site: str | None,
 ) -> int:
     """Learn a driver, or resume a run.
 
@@ -83,10 +87,10 @@ def learn_command(
     if resume is not None:
         new = {"driver": driver, "task": task, "seed": seed, "steps": steps, "budget": budget, "out": out}
         store, record = find_run(resume)
-        _check_unchanged(new | {"set": settings or None}, record)
+        _check_unchanged(new | site | {"set": settings or None}, record)
         if record.status == "done":
             return report_done(store, record, as_json=as_json)
-        request = replace(resume_request(record), tensorboard=tensorboard)
+        request = replace(resume_request(record, store.folder(record.id)), tensorboard=tensorboard)
         return learn_and_report(store, request, record, evaluation_of(request), as_json=as_json)
     if driver is None:
         from metropilot.learn import RECIPES
@@ -96,10 +100,10 @@ def learn_command(
     if not 0 <= seed < 2**31:
         raise InputError("out of range", field="seed", value=seed, allowed="0 to 2^31 - 1")
     told = dict(map(parse_setting, settings or ())) | ({} if steps is None else {"steps": steps})
-    command = shlex.join(
-        ["metropilot", "learn", driver, *_policy_options(task, budget, steps, seed, settings)]
-    )
-    request = new_request(driver, budget=budget, task=task, seed=seed, command=command, **told)
+    given = {"task": task} | site | {"budget": budget, "steps": steps, "seed": seed}
+    command = shlex.join(["metropilot", "learn", driver, *_policy_options(given, settings)])
+    chosen = TaskSite(**site)
+    request = new_request(driver, budget=budget, task=task, site=chosen, seed=seed, command=command, **told)
     request = replace(request, tensorboard=tensorboard)
     if out is not None and (out / "run.toml").exists():
         words, allowed = "the folder holds a run already", f"another, or --resume {out}"
@@ -111,12 +115,10 @@ def learn_command(
     return learn_and_report(store, request, record, evaluate, as_json=as_json)
 
 
-def _policy_options(
-    task: str | None, budget: str, steps: int | None, seed: int, settings: list[str] | None
-) -> list[str]:
+def _policy_options(given: dict[str, Any], settings: list[str] | None) -> list[str]:
     """Options that were given and that change the learned policy."""
-    told = [("--task", task), ("--budget", budget), ("--steps", steps), ("--seed", seed)]
-    words = [str(word) for name, value in told if value is not None for word in (name, value)]
+    told = given.items()
+    words = [str(word) for name, value in told if value is not None for word in (f"--{name}", value)]
     return words + [word for text in settings or () for word in ("--set", text)]
 
 

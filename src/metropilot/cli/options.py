@@ -93,7 +93,7 @@ def check_both(origin: str | None, destination: str | None) -> None:
 
 def with_run_options(
     *left_out: str,
-    only: Sequence[str] = (),
+    only: Sequence[str] | None = None,
     more: Sequence[Parameter] = (),
     **defaults: Any,  # noqa: ANN401 (of any type)
 ) -> Callable[[Command], Command]:
@@ -104,7 +104,7 @@ def with_run_options(
 
     Args:
         left_out: Fields without an option.
-        only: Fields with an option; empty: all.
+        only: Fields with an option; None: all.
         more: Further options in ``**given``, before those of the run.
         defaults: Defaults of the command that differ from the declaration.
     """
@@ -112,7 +112,9 @@ def with_run_options(
     def decorate(command: Command) -> Command:
         from metropilot.evaluate import run_fields
 
-        keys = [key for key in only or run_fields() if key not in (*POSITIONAL, *left_out)]
+        keys = [
+            key for key in (run_fields() if only is None else only) if key not in (*POSITIONAL, *left_out)
+        ]
         hints = get_type_hints(command, include_extras=True)
         # typer passes the context of the click that it brings along, which is no typer.Context
         hints = {name: hint for name, hint in hints.items() if hint is not Any}

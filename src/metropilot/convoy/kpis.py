@@ -24,12 +24,12 @@ from metropilot.evaluate import (
     Check,
     checks,
     command_variation,
-    copy_input,
     copy_inputs,
     max_jerk,
     verdict_words,
 )
 from metropilot.planning import excess_percent
+from metropilot.railway import copy_input
 from metropilot.sim import PUNCTUALITY_S, STOP_TOLERANCE_M, Outcome
 from metropilot.units import J_PER_KWH, KMH_PER_MPS
 

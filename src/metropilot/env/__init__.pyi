@@ -53,6 +53,7 @@ from .rewards import PeriodChange as PeriodChange
 from .rewards import Punctuality as Punctuality
 from .rewards import Seconds as Seconds
 from .rewards import StopError as StopError
+from .site import TaskSite as TaskSite
 from .tables import CLIMB_COLUMN as CLIMB_COLUMN
 from .tables import PERMITTED_COLUMN as PERMITTED_COLUMN
 from .tables import PROTECTION_CURVES as PROTECTION_CURVES

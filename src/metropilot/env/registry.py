@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import fields, replace
+from inspect import signature
 from typing import Any
 
 from metropilot._registry import Registry, RegistryRow
@@ -14,6 +16,7 @@ from metropilot.env.config import (
     DOMAIN_ACTION,
     DOMAIN_ASSISTS,
     DOMAIN_OBSERVER,
+    EPISODE_RULE,
     REWARDS,
     DomainRandomization,
     DrivingConfig,
@@ -21,22 +24,8 @@ from metropilot.env.config import (
 from metropilot.env.driving import DrivingTask
 from metropilot.env.randomization import DisturbanceDistribution, domain_sample
 from metropilot.env.rewards import StopError
-from metropilot.railway import Section, Trainset, load_line, load_trainset
-
-
-def _loads(trainset: str = "dkz32") -> tuple[Trainset, ...]:
-    loaded = load_trainset(trainset)
-    return tuple(loaded.with_load(load) for load in loaded.loads)
-
-
-def _one() -> tuple[Section, ...]:
-    return (load_line("yizhuang").section("RJ", "WYJ"),)
-
-
-def _all() -> tuple[Section, ...]:
-    line = load_line("yizhuang")
-    return (*line.sections(), *line.sections(backward=True))
-
+from metropilot.env.site import LINE, TaskSite
+from metropilot.errors import InputError
 
 ON_THE_WAY = 0.7
 """Episodes that begin on the way: a learner sees every state from the start (evaluate from standstill)."""
@@ -56,22 +45,57 @@ DISTURBED = DisturbanceDistribution(
 )
 
 
-def _drive() -> DrivingConfig:
-    return DrivingConfig(_one(), _loads(), TIMES)
+def _config(
+    site: TaskSite | None,
+    times: DisturbanceDistribution,
+    *,
+    both: bool = False,
+    whole_line: bool = False,
+    **more: Any,  # noqa: ANN401 (fields of the configuration)
+) -> DrivingConfig:
+    """Configuration of a task whose sections and trainsets may be others.
+
+    Args:
+        site: Its line and trainset; None: its own.
+        times: Distribution of its episodes.
+        both: Also learn with ideal actuation.
+        whole_line: Its own sections are all of the line.
+        more: Other fields of the configuration.
+    """
+    own = TaskSite(line=LINE) if whole_line else TaskSite()
+    given = site or own
+    sections, trainsets = (given if given.line else own).loaded_sections(), given.loaded_trainsets()
+    if given != own:
+        # planning loads the solver; the registry is read without it
+        from metropilot.planning import minimum_running_time
+
+        times = replace(times, longest_s=None)
+        longest_s = times.time_ratio[1] * max(
+            minimum_running_time(section, trainset) for section in sections for trainset in trainsets
+        )
+        period_s = DrivingConfig.dt * DrivingConfig.periods
+        decisions = math.ceil((EPISODE_RULE.late_ratio * longest_s + EPISODE_RULE.late_s) / period_s)
+        more["most_decisions"] = max(DrivingConfig.most_decisions, decisions)
+        more["observer"] = DOMAIN_OBSERVER  # the tasks' own observers were chosen for one section
+    if both:
+        trainsets = (*(trainset.ideal() for trainset in trainsets), *trainsets)
+    return DrivingConfig(sections, trainsets, times, **more)
 
 
-def _drive_jerk() -> DrivingConfig:
-    return DrivingConfig(_one(), _loads(), TIMES, ideal=False)
+def _drive(site: TaskSite | None = None) -> DrivingConfig:
+    return _config(site, TIMES)
 
 
-def _drive_both() -> DrivingConfig:
-    loads = _loads()
-    both = (*(load.ideal() for load in loads), *loads)
-    return DrivingConfig(_one(), both, WIDER_TIMES, ideal=False, observer="section_jerk")
+def _drive_jerk(site: TaskSite | None = None) -> DrivingConfig:
+    return _config(site, TIMES, ideal=False)
 
 
-def _drive_line() -> DrivingConfig:
-    return DrivingConfig(_all(), _loads(), LINE_TIMES, observer="route")
+def _drive_both(site: TaskSite | None = None) -> DrivingConfig:
+    return _config(site, WIDER_TIMES, both=True, ideal=False, observer="section_jerk")
+
+
+def _drive_line(site: TaskSite | None = None) -> DrivingConfig:
+    return _config(site, LINE_TIMES, whole_line=True, observer="route")
 
 
 EVALUATION_SEED, EVALUATION_DOMAINS = 987_654, 24
@@ -95,25 +119,25 @@ def _random_domains() -> DrivingConfig:
     )
 
 
-def _drive_disturbed() -> DrivingConfig:
-    return DrivingConfig(_one(), _loads(), DISTURBED, ideal=False)
+def _drive_disturbed(site: TaskSite | None = None) -> DrivingConfig:
+    return _config(site, DISTURBED, ideal=False)
 
 
-def _drive_increment() -> DrivingConfig:
-    return DrivingConfig(_one(), _loads(), TIMES, action=IncrementAction())
+def _drive_increment(site: TaskSite | None = None) -> DrivingConfig:
+    return _config(site, TIMES, action=IncrementAction())
 
 
-def _drive_notches() -> DrivingConfig:
-    return DrivingConfig(_one(), _loads(), TIMES, action=NotchAction())
+def _drive_notches(site: TaskSite | None = None) -> DrivingConfig:
+    return _config(site, TIMES, action=NotchAction())
 
 
-def _drive_unassisted() -> DrivingConfig:
+def _drive_unassisted(site: TaskSite | None = None) -> DrivingConfig:
     rewards = (*REWARDS, StopError(per_m=0.5))
     none = Assists(stop=False, ceiling=False)
-    return DrivingConfig(_one(), _loads(), TIMES, action=CommandAction(), assists=none, rewards=rewards)
+    return _config(site, TIMES, action=CommandAction(), assists=none, rewards=rewards)
 
 
-TASKS: Registry[Callable[[], DrivingConfig]] = Registry(
+TASKS: Registry[Callable[..., DrivingConfig]] = Registry(
     "task",
     {
         "drive": RegistryRow(_drive, "RJ to WYJ, every load and time up to 130 s, ideal actuation"),
@@ -147,25 +171,47 @@ TASKS: Registry[Callable[[], DrivingConfig]] = Registry(
         ),
     },
 )
-"""Every task: a function that makes its configuration; it reads the catalogue, so only when asked for."""
+"""Every task: a function that makes its configuration; it reads the catalogue, so only when asked for.
+
+Those that take a :class:`TaskSite` can be learned on any line."""
 
 
-def task_config(name: str) -> DrivingConfig:
+def task_config(name: str, site: TaskSite | None = None) -> DrivingConfig:
     """The configuration of a registered task.
 
+    Args:
+        name: Name of the task.
+        site: Line and trainset instead of its own; scheduled times are then up to the task's highest ratio,
+            and the policy observes what the driver for every line does.
+
     Raises:
-        InputError: No such task (the nearest is named).
+        InputError: No such task (the nearest is named), it has only its own sections, or the site has no such
+            line, section, trainset or load.
     """
-    return TASKS.make(name)
+    make = TASKS.get(name)
+    if site is None or site == TaskSite():
+        return make()
+    if not signature(make).parameters:
+        others = ", ".join(task for task in TASKS if signature(TASKS.get(task)).parameters)
+        raise InputError(
+            "the task has sections and trainsets of its own", field="task", value=name, allowed=others
+        )
+    return make(site)
 
 
-def make_task(name: str, **changes: Any) -> DrivingTask:  # noqa: ANN401 (fields of the configuration)
+def make_task(name: str, site: TaskSite | None = None, **changes: Any) -> DrivingTask:  # noqa: ANN401 (fields of the configuration)
     """A registered task, with some fields of its configuration changed.
 
+    Args:
+        name: Name of the task.
+        site: Line and trainset instead of its own.
+        changes: Fields of its configuration.
+
     Raises:
-        InputError: No such task or field (the nearest is named), or a value that a field cannot have.
+        InputError: No such task or field (the nearest is named), a value that a field cannot have, or a task
+            that cannot be learned on another line.
     """
-    config = task_config(name)
+    config = task_config(name, site)
     for field in changes:
         check_name(field, (each.name for each in fields(config)), "field", field=field)
     return DrivingTask(replace(config, **changes))

@@ -23,7 +23,6 @@ from .figures import front_figure as front_figure
 from .figures import plan_figure as plan_figure
 from .figures import set_distance as set_distance
 from .folder import comparison_json as comparison_json
-from .folder import copy_input as copy_input
 from .folder import copy_inputs as copy_inputs
 from .folder import write_comparison as write_comparison
 from .folder import write_run as write_run

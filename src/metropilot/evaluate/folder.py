@@ -14,9 +14,9 @@ from metropilot.evaluate.comparison import Entry
 from metropilot.evaluate.explanation import Explanation, explain_drive
 from metropilot.evaluate.kpis import Kpis
 from metropilot.evaluate.optimum import Optimum
-from metropilot.evaluate.run_spec import FILES, POLICY, RunSpec, is_file
+from metropilot.evaluate.run_spec import FILES, POLICY, RunSpec
 from metropilot.policy import policy_path
-from metropilot.railway import parse_trainset
+from metropilot.railway import copy_input
 from metropilot.sim import Drive
 
 
@@ -106,17 +106,6 @@ def write_run_toml(folder: Path, request: RunSpec, compared: Sequence[str] = ())
     if len(compared) > 1:
         head += f"# It is the run of the first driver compared; the others: {', '.join(compared[1:])}.\n"
     (folder / "run.toml").write_text(f"{head}\n{tomli_w.dumps(table)}", encoding="utf-8")
-
-
-def copy_input(folder: Path, text: str, stem: str) -> str:
-    """Copy the file of a line or trainset into a folder; returns its new key, a catalogue's unchanged."""
-    key = parse_trainset(text)
-    source = Path(key.id)
-    if not is_file(source.name):
-        return text
-    name = f"{stem}{source.suffix.lower()}"
-    shutil.copyfile(source, folder / name)
-    return str(key._replace(id=name))
 
 
 def copy_inputs(folder: Path, request: RunSpec) -> RunSpec:

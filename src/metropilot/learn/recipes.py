@@ -7,10 +7,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from metropilot._registry import Registry, RegistryRow, did_you_mean
-from metropilot.env import DrivingConfig, NotchAction, task_config
+from metropilot._schema import field_specs
+from metropilot.env import DrivingConfig, NotchAction, TaskSite, task_config
 from metropilot.errors import InputError
 from metropilot.learn.config import (
     AbstractConfig,
@@ -76,26 +78,32 @@ class Recipe:
             raise InputError("unknown budget", field="budget", value=budget, allowed=", ".join(BUDGETS))
         return change_config(self.quick if budget == "quick" else self.paper, values)
 
-    def task_configuration(self, name: str | None = None) -> DrivingConfig:
+    def task_configuration(self, name: str | None = None, site: TaskSite | None = None) -> DrivingConfig:
         """The task's configuration; another registered task than the recipe's is taken as it stands.
 
-        Raises:
-            InputError: No such task (the nearest is named).
-        """
-        if name is None or name == self.task:
-            config = task_config(self.task)
-            return self.changes(config) if self.changes else config
-        return task_config(name)
+        Args:
+            name: Name of a registered task; None: the recipe's.
+            site: Line and trainset instead of the task's own.
 
-    def make_task(self, name: str | None = None) -> DrivingTask:
+        Raises:
+            InputError: No such task (the nearest is named), or none that can be learned there.
+        """
+        config = task_config(name or self.task, site)
+        return self.changes(config) if self.changes and name in (None, self.task) else config
+
+    def make_task(self, name: str | None = None, site: TaskSite | None = None) -> DrivingTask:
         """The task itself.
 
+        Args:
+            name: Name of a registered task; None: the recipe's.
+            site: Line and trainset instead of the task's own.
+
         Raises:
-            InputError: No such task.
+            InputError: No such task, or none that can be learned there.
         """
         from metropilot.env import DrivingTask
 
-        return DrivingTask(self.task_configuration(name))
+        return DrivingTask(self.task_configuration(name, site))
 
 
 def new_request(
@@ -103,6 +111,7 @@ def new_request(
     *,
     budget: str = "paper",
     task: str | None = None,
+    site: TaskSite | None = None,
     seed: int = 0,
     command: str = "",
     **settings: Any,
@@ -113,32 +122,40 @@ def new_request(
         driver: Id of the driver.
         budget: ``quick`` or ``paper``.
         task: Another registered task than the recipe's.
+        site: Line and trainset to learn on instead of the task's own.
         seed: Of everything random.
         command: The command line that asks for it.
         settings: Fields of the learner's configuration to set, as plain values.
 
     Raises:
-        InputError: No such driver, budget, task or field, or a value out of range.
+        InputError: No such driver, budget, task or field, a value out of range, or a task that cannot be
+            learned on another line.
     """
-    row = recipe(driver)
-    return _request(driver, row.configuration(budget, **settings), task or row.task, seed, command)
+    row, site = recipe(driver), site or TaskSite()
+    config, name = row.configuration(budget, **settings), task or row.task
+    return _request(config, row.make_task(name, site), name, seed, site=site, driver=driver, command=command)
 
 
-def resume_request(record: RunRecord) -> RunRequest:
+def resume_request(record: RunRecord, folder: Path) -> RunRequest:
     """Request to go on with a run, for :func:`metropilot.learn.train.learn_run`.
+
+    Args:
+        record: Its record.
+        folder: Its folder, which has copies of a line and a trainset that are no entries of the catalogue.
 
     Raises:
         InputError: The run is of no recipe, or its task is no more.
     """
-    return _request(record.driver, record.configuration(), record.task, record.seed, record.command)
+    site = TaskSite(**{name: record.about[name] for name in field_specs(TaskSite) if name in record.about})
+    made = recipe(record.driver).make_task(record.task, site.in_folder(folder))
+    more: dict[str, Any] = {"site": site, "driver": record.driver, "command": record.command}
+    return _request(record.configuration(), made, record.task, record.seed, **more)
 
 
-def _request(driver: str, config: AbstractConfig, task: str, seed: int, command: str) -> RunRequest:
+def _request(config: AbstractConfig, task: DrivingTask, *named: Any, **more: Any) -> RunRequest:
     from metropilot.learn.train import RunRequest
 
-    made = recipe(driver).make_task(task)
-    interface = made.config.interface
-    return RunRequest(config, made, task, seed, driver=driver, interface=interface, command=command)
+    return RunRequest(config, task, *named, interface=task.config.interface, **more)
 
 
 def evaluation_of(request: RunRequest) -> PolicyEvaluation:

@@ -14,7 +14,7 @@ import jax
 import numpy as np
 
 from metropilot._io import hold_lock
-from metropilot.env import AbstractTask, DrivingTask, PolicyInterface
+from metropilot.env import AbstractTask, DrivingTask, PolicyInterface, TaskSite
 from metropilot.errors import InputError
 from metropilot.learn.checkpoint import load_checkpoint, save_checkpoint
 from metropilot.learn.compile_cache import keep_compiled
@@ -247,7 +247,8 @@ class RunRequest:
         task: Task to learn.
         name: The task in a word.
         seed: Of everything random.
-        about: Identification of the task: line, section, trainset.
+        about: Further identification of the task.
+        site: Line and trainset of the task, if not its own.
         tensorboard: Also write event files.
         driver: Id of the driver that is learned; empty where it has none.
         interface: Knowledge a driver needs to use the policy; None: it cannot be driven.
@@ -259,6 +260,7 @@ class RunRequest:
     name: str
     seed: int = 0
     about: Mapping[str, Any] | None = None
+    site: TaskSite = field(default_factory=TaskSite)
     tensorboard: bool = False
     driver: str = ""
     interface: PolicyInterface | None = None
@@ -295,11 +297,13 @@ def begin_run(store: RunStore, request: RunRequest, run_id: str | None = None) -
         InputError: The folder cannot be written.
     """
     more = {"driver": request.driver, "command": request.command} | ({"id": run_id} if run_id else {})
-    return store.create(request.config, request.name, request.seed, _about(request), **more)
+    record = store.create(request.config, request.name, request.seed, _about(request), **more)
+    request.site.copy_files(store.folder(record.id))
+    return record
 
 
 def _about(request: RunRequest) -> dict[str, Any]:
-    return dict(request.about or {}) | {"name": request.name}
+    return dict(request.about or {}) | request.site.as_copied().values() | {"name": request.name}
 
 
 def _learn(

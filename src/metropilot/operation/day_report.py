@@ -12,11 +12,11 @@ import numpy as np
 
 from metropilot._io import encode_parquet, fill_folder, write_json
 from metropilot._provenance import provenance
-from metropilot.evaluate import copy_input
 from metropilot.operation.day import HOUR_S, MINUTE_S
 from metropilot.operation.day_energy import DayEnergy
 from metropilot.operation.feeding import FeedingEnergy
 from metropilot.operation.gtfs import write_gtfs
+from metropilot.railway import copy_input
 from metropilot.units import J_PER_KWH, format_clock
 
 if TYPE_CHECKING:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
 import tomllib
 from collections.abc import Callable
 from dataclasses import replace
@@ -214,6 +215,23 @@ def document_text(kind: Literal["line", "trainset"], id_or_path: str | Path) -> 
         return _catalogue_text(f"{kind}s", key)
     found = load_line(key) if kind == "line" else load_trainset(key)
     return toml_text(line_document(found) if isinstance(found, Line) else trainset_document(found))
+
+
+def copy_input(folder: Path, key: str, stem: str) -> str:
+    """Copy the file of a line or trainset into a folder; returns its new key, a catalogue's unchanged.
+
+    Args:
+        folder: The folder.
+        key: As :func:`load_line` and :func:`load_trainset` take it.
+        stem: Name of the copy without its ending.
+    """
+    parts = parse_trainset(key)
+    source = Path(parts.id)
+    if not parse_trainset(source.name).is_file:
+        return key
+    name = f"{stem}{source.suffix.lower()}"
+    shutil.copyfile(source, folder / name)
+    return str(parts._replace(id=name))
 
 
 class TrainsetKey(NamedTuple):

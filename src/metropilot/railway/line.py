@@ -400,6 +400,30 @@ class Line(CatalogueRecord):
         stops = self.stations[::-1] if backward else self.stations
         return tuple(self.section(a, b) for a, b in pairwise(stops))
 
+    def select_sections(self, names: str | None = None) -> tuple[Section, ...]:
+        """Sections by name, or all of them: forward, then backward.
+
+        Args:
+            names: ``ORIGIN-DESTINATION,...``, codes or names of stations; None: all.
+
+        Raises:
+            InputError: A name is not that of two stations, or stands twice.
+        """
+        if names is None:
+            return (*self.sections(), *self.sections(backward=True))
+        found: list[Section] = []
+        for word in names.split(","):
+            ends = word.split("-")
+            if len(ends) != 2:
+                allowed = "ORIGIN-DESTINATION,..."
+                raise InputError("not a section", field="sections", value=word, allowed=allowed)
+            section = self.section(*ends)
+            if section in found:
+                allowed = "each section once"
+                raise InputError("section named twice", field="sections", value=word, allowed=allowed)
+            found.append(section)
+        return tuple(found)
+
 
 def _key(text: str) -> str:
     return "".join(ch for ch in text.casefold() if ch.isalnum())

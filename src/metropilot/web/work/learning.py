@@ -50,7 +50,7 @@ def learn_job(root: str, job: str, body: dict[str, Any], run: str | None) -> dic
     runs = RunStore(Path(root) / "runs")
     if run is not None:
         record = runs.show(run)
-        request = resume_request(record)
+        request = resume_request(record, runs.folder(record.id))
     else:
         request = new_request(body["driver"], **_told(body))
         record = begin_run(runs, request)
