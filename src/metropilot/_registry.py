@@ -5,10 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from difflib import get_close_matches
+from functools import cached_property
 from importlib import import_module
-from typing import Any, Generic, TypeVar, cast
+from typing import TYPE_CHECKING, Any, Generic, TypeVar, cast
 
 from metropilot.errors import InputError
+
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoint
 
 T = TypeVar("T")
 
@@ -35,39 +39,61 @@ class Registry(Generic[T]):
         kind: Kind of the objects, in a word for messages.
         rows: Its rows by id.
         field: Option or field that names an id, for messages; by default the kind.
+        group: Group of the entry points by which installed packages add objects; empty: none do. They are
+            imported when all ids are listed, or when an id is asked for that is not one of the package.
     """
 
-    def __init__(self, kind: str, rows: Mapping[str, RegistryRow] | None = None, field: str = "") -> None:
-        self.kind, self.field = kind, field or kind
+    def __init__(
+        self, kind: str, rows: Mapping[str, RegistryRow] | None = None, field: str = "", group: str = ""
+    ) -> None:
+        self.kind, self.field, self.group = kind, field or kind, group
         self._rows = dict(rows or {})
 
     def __iter__(self) -> Iterator[str]:
-        return iter(self._rows)
+        return iter(self.rows())
 
     def __len__(self) -> int:
-        return len(self._rows)
+        return len(self.rows())
 
     def __contains__(self, name: object) -> bool:
-        return name in self._rows
+        return name in self._rows or name in self._installed
 
     def ids(self) -> tuple[str, ...]:
-        """All ids: those of the package first, then those that were registered."""
-        return tuple(self._rows)
+        """All ids: those of the package first, then those that were registered or installed."""
+        return tuple(self.rows())
 
     def rows(self) -> Mapping[str, RegistryRow]:
-        """Every row by id; importing nothing."""
-        return dict(self._rows)
+        """Every row by id; of the package's own nothing is imported."""
+        found = {name: row for name, row in self._installed.items() if isinstance(row, RegistryRow)}
+        return {**self._rows, **{name: row for name, row in found.items() if name not in self._rows}}
 
     def row(self, name: str) -> RegistryRow:
-        """The row of an id; importing nothing.
+        """The row of an id.
 
         Raises:
-            InputError: No such id (the nearest is named).
+            InputError: No such id (the nearest is named), or its package cannot be used.
         """
-        if name not in self._rows:
+        row = self._rows.get(name) or self._installed.get(name)
+        if isinstance(row, str):
+            raise InputError(
+                f"the {self.kind} of an installed package cannot be used ({row})",
+                field=self.field,
+                value=name,
+            )
+        if row is None:
             words = f"unknown {self.kind}{did_you_mean(name, self)}"
             raise InputError(words, field=self.field, value=name, allowed=", ".join(self))
-        return self._rows[name]
+        return row
+
+    @cached_property
+    def _installed(self) -> Mapping[str, RegistryRow | str]:
+        """Rows that installed packages add, by id; the reason instead of a row that cannot be used."""
+        if not self.group:
+            return {}
+        # the import takes a tenth of a second, and most commands ask for nothing that is not shipped
+        from importlib.metadata import entry_points
+
+        return {point.name: _installed_row(point) for point in entry_points(group=self.group)}
 
     def get(self, name: str) -> T:
         """The object of an id.
@@ -94,8 +120,30 @@ class Registry(Generic[T]):
         self._rows = {**rows, **self._rows}
 
     def register(self, kind: type[Any]) -> None:
-        """Add a class by its own ``id``, ``summary`` and ``source``, instead of any of the same id."""
-        self._rows[kind.id] = RegistryRow(kind, kind.summary, kind.source)
+        """Add a class by its own ``id``, ``summary`` and ``source``, instead of any of the same id.
+
+        Without a summary of its own the first line of its docstring stands for it.
+        """
+        self._rows[kind.id] = _row_of(kind)
+
+
+def _row_of(target: Any, source: str = "") -> RegistryRow:  # noqa: ANN401 (of any type)
+    """Row of an object that describes itself, or has a docstring."""
+    said = getattr(target, "summary", "") or getattr(target, "title", "")
+    docs = (target.__doc__ or "").partition("\n")[0].rstrip(".")
+    return RegistryRow(target, said or docs, getattr(target, "source", "") or source)
+
+
+def _installed_row(point: EntryPoint) -> RegistryRow | str:
+    """Row of an entry point, or why it has none."""
+    try:
+        target = point.load()
+    except Exception as error:  # noqa: BLE001 (code of others may raise anything)
+        return f"{point.value}: {type(error).__name__}: {error}".splitlines()[0]
+    own = getattr(target, "id", point.name)
+    if own != point.name:
+        return f"{point.value} has the id {own}"
+    return _row_of(target, point.dist.name if point.dist else "")
 
 
 def did_you_mean(name: str, names: Any) -> str:  # noqa: ANN401 (any iterable of names)

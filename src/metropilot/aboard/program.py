@@ -104,7 +104,7 @@ def check_exportable(name: str) -> None:
     Raises:
         InputError: It cannot.
     """
-    if name in DRIVERS.ids() and not _has_form(name):
+    if name in DRIVERS and not _has_form(name):
         raise _refusal(name)
 
 

@@ -139,7 +139,7 @@ def write_c(
     compiler = find_zig() if to == "wasm" else None
     known = load_trainset(trainset or TRAINSET, load)
     check_exportable(what)
-    if what in DRIVERS.ids() and not issubclass(DRIVERS.get(what), AbstractPolicyDriver):
+    if what in DRIVERS and not issubclass(DRIVERS.get(what), AbstractPolicyDriver):
         name, driver, policy = what, DRIVERS.get(what)(), None
     else:
         name, file = find_policy(what)
@@ -176,7 +176,7 @@ def find_policy(what: str) -> tuple[str, PolicyFile]:
     path = Path(what).expanduser()
     if not path.exists() and what.isidentifier() and shipped_policy(what).is_file():
         return what, read_policy(shipped_policy(what))
-    if what in DRIVERS.ids() and not path.exists():
+    if what in DRIVERS and not path.exists():
         words = "the driver has no policy of its own"
         raise InputError(words, field="export", value=what, allowed="a learned driver")
     if path.is_file() or path.suffix == ".safetensors":

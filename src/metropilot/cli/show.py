@@ -55,7 +55,7 @@ def show_command(
     if parse_trainset(what).is_named:
         return show_trainset(load_trainset(what), as_json=as_json)
     for registry in (DRIVERS, FOLLOWERS):
-        if what in registry.ids():
+        if what in registry:
             return show_driver(registry, what, as_json=as_json)
     if (Path(what) / "run.toml").is_file():
         return show_run_folder(Path(what), as_json=as_json)

@@ -170,6 +170,7 @@ TASKS: Registry[Callable[..., DrivingConfig]] = Registry(
             "WHY to WYJ by twelve notches every 3 s, rewards and filter of Lu23, 118 to 142 s",
         ),
     },
+    group="metropilot.tasks",
 )
 """Every task: a function that makes its configuration; it reads the catalogue, so only when asked for.
 

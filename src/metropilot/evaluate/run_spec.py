@@ -194,7 +194,7 @@ class RunSpec(CheckedFields):
         """
         told = dict(self.options)
         driver_id, _ = parse_driver(self.driver)
-        if driver_id in DRIVERS.ids() and "objective" in option_defaults(DRIVERS.get(driver_id)):
+        if driver_id in DRIVERS and "objective" in option_defaults(DRIVERS.get(driver_id)):
             told.setdefault("objective", self.objective)
         return make_driver(self.driver, told)
 

@@ -320,5 +320,6 @@ RECIPES: Registry[Recipe] = Registry(
         ),
     },
     field="driver",
+    group="metropilot.recipes",
 )
 """By id of the driver."""

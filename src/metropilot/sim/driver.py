@@ -76,7 +76,7 @@ def read_command(driver: AbstractDriver, given: object) -> float:
 
 
 DriverClass = TypeVar("DriverClass", bound=type[AbstractDriver])
-DRIVER_REGISTRY: Registry[type[AbstractDriver]] = Registry("driver")
+DRIVER_REGISTRY: Registry[type[AbstractDriver]] = Registry("driver", group="metropilot.drivers")
 """Every driver. :mod:`metropilot.drivers` adds the shipped ones; simulations do not import it."""
 
 

@@ -187,6 +187,7 @@ STUDIES: Registry[Study] = Registry(
             "Driving by twelve notches: improved DQN against DQN, ablation, optimum over the notches",
         ),
     },
+    group="metropilot.studies",
 )
 """Every study."""
 

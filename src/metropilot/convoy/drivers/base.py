@@ -77,7 +77,9 @@ class AbstractFollower(ABC):
         """Choose the command in [-1, 1] for the coming period; also returns the next memory."""
 
 
-FOLLOWER_REGISTRY: Registry[type[AbstractFollower]] = Registry("follower", field="driver")
+FOLLOWER_REGISTRY: Registry[type[AbstractFollower]] = Registry(
+    "follower", field="driver", group="metropilot.followers"
+)
 """Every follower; those of this package are added by :mod:`metropilot.convoy.drivers`."""
 
 
