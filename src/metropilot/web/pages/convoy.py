@@ -5,14 +5,13 @@ from __future__ import annotations
 from typing import Any
 
 from fastapi import Request
-from nicegui import events, ui
+from nicegui import ui
 
 from metropilot.convoy import FOLLOWERS
 from metropilot.errors import MetropilotError
 from metropilot.units import KINDS, KMH_PER_MPS
 from metropilot.web import catalogue
 from metropilot.web.errors import Refused
-from metropilot.web.live.session import Session
 from metropilot.web.pages.drive import checks_table
 from metropilot.web.pages.form import (
     DisturbanceForm,
@@ -28,15 +27,16 @@ from metropilot.web.pages.frame import (
     card,
     for_users,
     frame,
+    heading,
     links,
     plot,
-    prop_of,
     reads,
     strip,
     table,
 )
 from metropilot.web.pages.plots import convoy_figure, finished_convoy_figure
 from metropilot.web.pages.strip import section_strip
+from metropilot.web.pages.watched import AbstractWatched
 from metropilot.web.schemas.requests import ConvoyIn, NewLink
 from metropilot.web.service import Service
 from metropilot.web.store import JobRow, outcome_words
@@ -65,8 +65,10 @@ READS = (
 )
 
 
-class ConvoyPage:
+class ConvoyPage(AbstractWatched):
     """State of the page for one browser."""
+
+    idle = N_("no convoy is under way; depart first")
 
     def __init__(self, service: Service, run: str | None) -> None:
         self.service = service
@@ -97,13 +99,7 @@ class ConvoyPage:
                     problem.beside(name, element.props("outlined dense options-dense"))
                 self.world.build(problem)
                 with ui.element("div").classes("mp-row"):
-                    self.pace = ui.select(
-                        translate_each(PACES),
-                        value=2,
-                        label=_("Pace"),
-                        on_change=self.change_pace,
-                    )
-                    for_users(self.pace).props("outlined dense")
+                    self.build_pace(PACES, 2).props("outlined dense")
                     ActionButton(_("Depart"), icon="play_arrow", on_click=self.depart).props(
                         'unelevated data-test="depart"'
                     )
@@ -115,14 +111,13 @@ class ConvoyPage:
             )
             with self.root, ui.element("div").classes("mp-stack"):
                 with ui.element("div").classes("mp-row items-center"):
-                    ui.label(_("Live convoy")).classes("mp-h").props("role=heading aria-level=2")
+                    heading(_("Live convoy"))
                     self.status = ui.label(_("not departed")).classes("mp-soft")
                     self.status.props('data-mp="status" aria-live=polite')
                 self.strip = strip(_("Section"))
                 reads(READS)
                 self.plot = plot(convoy_figure())
-                log = ui.element("ul").classes("mp-log").props('data-mp="log" aria-live=polite')
-                log.props(prop_of("aria-label", _("Events")))
+                self.build_log(_("Events"))
                 self.result = ui.element("div").classes("mp-stack").props('data-test="result"')
             self.root.on("mp-result", self.show_result, ["detail"])
 
@@ -210,11 +205,6 @@ class ConvoyPage:
         count, gap = int(self.count.number or 2), self.gap.number or 0.0
         self.strip.content = section_strip(self.form.section, 0.0, count * (length + gap))
 
-    def live(self) -> Session | None:
-        """Session of the convoy while it runs, else None."""
-        session = self.service.sessions.get(self.run or "")
-        return session if session is not None and not session.over else None
-
     async def depart(self) -> None:
         """Start a convoy and watch it."""
         with self.form.problem.show_errors():
@@ -235,11 +225,7 @@ class ConvoyPage:
                 },
                 link_loss=100.0,
             )
-            before = self.live()
-            if before is not None and before.viewers <= 1:
-                await before.stop()
-            session = await self.service.go_live(body)
-            self.run = session.id
+            session = await self.go_live(body)
             self.draw_section()
             self.attach(session.id, body.trainsets)
 
@@ -255,25 +241,6 @@ class ConvoyPage:
             ui.label(_("KPIs of every trainset when all have stopped.")).classes("mp-soft")
         ui.run_javascript(f"metropilotConvoy('c{self.root.id}', {run!r}, {self.plot.id}, {count - 1})")
 
-    async def ask(self, event: dict[str, Any]) -> None:
-        """Send the convoy an event.
-
-        Raises:
-            MetropilotError: There is no run, or the event is not possible.
-        """
-        await self.under_way().ask(event)
-
-    def under_way(self) -> Session:
-        """Session of the convoy that waits or runs.
-
-        Raises:
-            Refused: There is none.
-        """
-        session = self.live()
-        if session is None:
-            raise Refused("no convoy is under way; depart first", 409)
-        return session
-
     async def relink(self) -> None:
         """Send the fields of the link."""
         with self.news.show_errors():
@@ -288,30 +255,21 @@ class ConvoyPage:
     async def change_pace(self) -> None:
         """Send the pace."""
         with self.news.show_errors():
-            if (session := self.live()) is not None and not session.waiting:
-                await session.ask({"kind": "pace", "pace": float(self.pace.value or 1)})
+            await self.send_pace(float(self.pace.value or 1))
 
     async def stop(self) -> None:
         """End the run."""
         with self.news.show_errors():
             await self.under_way().stop()
 
-    def show_result(self, event: events.GenericEventArguments) -> None:
-        """Show the result; taken from the session, not from the browser."""
-        del event
-        session = self.service.sessions.get(self.run or "")
-        if session is None or session.summary is None:
-            return
-        self.show_tables(session.id, session.summary)
-
-    def show_tables(self, run: str, summary: dict[str, Any]) -> None:
+    def show_summary(self, run: str, found: dict[str, Any]) -> None:
         """Show requirements, KPIs and files of a convoy."""
         self.result.clear()
         with self.result:
-            checks_table(summary["checks"])
-            members_table(summary["kpis"]["trainsets"])
-            if summary["kpis"].get("joint_gap_percent") is not None:
-                ui.label(joint_energy(summary["kpis"]))
+            checks_table(found["checks"])
+            members_table(found["kpis"]["trainsets"])
+            if found["kpis"].get("joint_gap_percent") is not None:
+                ui.label(joint_energy(found["kpis"]))
             names = ("trajectories.zip", "kpis.json", "convoy.svg")
             links([(name, f"/api/jobs/{run}/files/{name}") for name in names])
 
@@ -320,7 +278,7 @@ class ConvoyPage:
         self.plot.update_figure(finished_convoy_figure(found))
         self.root.props(f"data-status={row.status}")
         self.status.text = _("all stopped")
-        self.show_tables(row.id, found)
+        self.show_summary(row.id, found)
 
 
 def member_outcome(member: dict[str, Any]) -> tuple[str, str]:

@@ -32,8 +32,8 @@ from metropilot.web.pages.frame import (
     ActionButton,
     Problem,
     card,
-    for_users,
     frame,
+    heading,
     links,
     plot,
     prop_of,
@@ -52,10 +52,11 @@ from metropilot.web.pages.plots import (
 )
 from metropilot.web.pages.runs import RunList
 from metropilot.web.pages.strip import line_strip, section_strip
+from metropilot.web.pages.watched import AbstractWatched
 from metropilot.web.schemas.requests import LiveIn, NewArrival, NewRestriction
 from metropilot.web.service import RESUMABLE, Service
 from metropilot.web.store import JobRow
-from metropilot.web.words.language import N_, _, translate_each
+from metropilot.web.words.language import N_, _
 from metropilot.web.words.said import retell
 from metropilot.web.words.tables import (
     check_rows,
@@ -93,7 +94,7 @@ KEYS = (
 )
 
 
-class DrivePage:
+class DrivePage(AbstractWatched):
     """State of the page for one browser.
 
     Args:
@@ -105,6 +106,8 @@ class DrivePage:
         row: Stored row of that run, None without a link.
         lost: Error of a link that cannot be followed.
     """
+
+    idle = N_("no run is under way; depart first")
 
     def __init__(self, service: Service, run: str | None, of_campaign: tuple[str, str] | None = None) -> None:
         self.service = service
@@ -141,13 +144,7 @@ class DrivePage:
                 self.say_driver()
                 self.disturbances.build(self.form.problem, self.follow_plant)
                 with ui.element("div").classes("mp-row"):
-                    self.pace = ui.select(
-                        translate_each(PACES),
-                        value=1,
-                        label=_("Pace"),
-                        on_change=self.change_pace,
-                    )
-                    for_users(self.pace).props("outlined dense")
+                    self.build_pace(PACES, 1).props("outlined dense")
                     ActionButton(_("Depart"), icon="play_arrow", on_click=self.depart).props(
                         'unelevated data-test="depart"'
                     )
@@ -175,9 +172,7 @@ class DrivePage:
                 self.root.on("mp-restriction", self.move_restriction, ["detail"])
                 self.root.on("mp-arrival", self.move_arrival, ["detail"])
                 self.moment = MomentSlider(self.root, self.plot)
-                ui.element("ul").classes("mp-log").props('data-mp="log" aria-live=polite').props(
-                    prop_of("aria-label", _("News"))
-                )
+                self.build_log(_("News"))
                 self.result = ui.element("div").classes("mp-stack").props('data-test="result"')
             self.why = ui.element("div").classes("mp-col")
             with card():
@@ -188,7 +183,7 @@ class DrivePage:
     def build_head(self) -> None:
         """Build the heading of the run: its status, pause, step, resume."""
         with ui.element("div").classes("mp-row items-center"):
-            ui.label(_("Live run")).classes("mp-h").props("role=heading aria-level=2")
+            heading(_("Live run"))
             status = ui.label(self.status_words()).classes("mp-soft")
             status.props('data-mp="status" aria-live=polite')
             ui.label("").classes("mp-soft").props('data-mp="pace"')
@@ -278,7 +273,7 @@ class DrivePage:
                 if self.form.section is not None:
                     self.moment.offer(found, self.form.section["length_m"])
                 self.show_why(found)
-                self.show_kpis(self.row.id, found)
+                self.show_summary(self.row.id, found)
             if self.row.error is not None:
                 self.departure.show(error_of(self.row.error))
         if self.lost is not None:
@@ -352,15 +347,6 @@ class DrivePage:
         """Plan anew for another true plant, except while the form is filled."""
         return None if self.filling else self.update_plan()
 
-    def session(self) -> Session | None:
-        """Session of the run of the page, None if the server has none."""
-        return self.service.sessions.get(self.run or "")
-
-    def live(self) -> Session | None:
-        """Session of the run while it is live, else None."""
-        session = self.session()
-        return session if session is not None and not session.over else None
-
     async def depart(self) -> None:
         """Start a live run and watch it."""
         with self.departure.show_errors():
@@ -369,11 +355,7 @@ class DrivePage:
             values |= {"driver": self.driver.value, "pace": float(self.pace.value)}
             values |= {"options": self.driver_options.values()}
             body = validate(LiveIn, values)
-            before = self.live()
-            if before is not None and before.viewers <= 1:
-                await before.stop()
-            session = await self.service.go_live(body)
-            self.run = session.id
+            session = await self.go_live(body)
             self.draw_section(section, body.trainset)
             self.attach(session)
 
@@ -399,17 +381,6 @@ class DrivePage:
         """Scheduled running time in force, s."""
         known = session.known.scheduled_time_s
         return session.request["time_s"] if known is None else known
-
-    async def ask(self, event: dict[str, Any]) -> None:
-        """Send the run an event.
-
-        Raises:
-            MetropilotError: There is no run, or the event is not possible.
-        """
-        session = self.live()
-        if session is None:
-            raise Refused("no run is under way; depart first", 409)
-        await session.ask(event)
 
     async def tell_arrival(self) -> None:
         """Send the arrival time of the field."""
@@ -470,9 +441,9 @@ class DrivePage:
         """Send the pace to the live run."""
         pace = float(self.pace.value)
         with self.departure.show_errors():
-            session = self.live()
-            if session is not None and not session.waiting and session.known.pace != pace:
-                await session.ask({"kind": "pace", "pace": pace})
+            session = self.session()
+            if session is None or session.known.pace != pace:
+                await self.send_pace(pace)
 
     async def pause(self) -> None:
         """Pause the run, or let it go on at the pace of the field."""
@@ -489,19 +460,9 @@ class DrivePage:
     async def stop(self) -> None:
         """End the run."""
         with self.news.show_errors():
-            session = self.live()
-            if session is None:
-                raise Refused("no run is under way; depart first", 409)
-            await session.stop()
+            await self.under_way().stop()
 
-    def show_result(self, event: events.GenericEventArguments) -> None:
-        """Show the result; taken from the session, not from the browser."""
-        del event
-        session = self.session()
-        if session is not None and session.summary is not None:
-            self.show_kpis(session.id, session.summary)
-
-    def show_kpis(self, run: str, found: dict[str, Any]) -> None:
+    def show_summary(self, run: str, found: dict[str, Any]) -> None:
         """Show requirements, KPIs and files of a run."""
         self.result.clear()
         with self.result:

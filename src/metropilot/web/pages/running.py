@@ -5,24 +5,23 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from nicegui import events, ui
+from nicegui import ui
 
 from metropilot.units import KMH_PER_MPS
 from metropilot.web import catalogue
 from metropilot.web.errors import Refused, error_of
 from metropilot.web.live.line import DELAYS
-from metropilot.web.live.session import Session
 from metropilot.web.pages.form import names, number_field, validate
 from metropilot.web.pages.frame import (
     ActionButton,
     Problem,
-    for_users,
+    heading,
     links,
     plot,
-    prop_of,
     reads,
 )
 from metropilot.web.pages.plots import finished_line_figure, running_figure
+from metropilot.web.pages.watched import AbstractWatched
 from metropilot.web.schemas.requests import NewHold, NewSlowSection, RunningLineIn
 from metropilot.web.service import RESUMABLE, Service
 from metropilot.web.store import JobRow
@@ -44,7 +43,7 @@ READS = (
 WAYS = {"forward": N_("as the stations are listed"), "backward": N_("the other way")}
 
 
-class RunningCard:
+class RunningCard(AbstractWatched):
     """The card of the live train graph.
 
     Args:
@@ -52,6 +51,8 @@ class RunningCard:
         run: Id of the running line that a link names.
         request: Gives line, trainset, headway and options of the form.
     """
+
+    idle = N_("no line is running; press Run")
 
     def __init__(self, service: Service, run: str | None, request: Callable[[], dict[str, Any]]) -> None:
         self.service, self.run, self.request = service, run, request
@@ -61,7 +62,7 @@ class RunningCard:
         self.root = ui.element("section").classes("mp-card").props('data-test="running" data-status="none"')
         with self.root, ui.element("div").classes("mp-stack"):
             with ui.element("div").classes("mp-row items-center"):
-                ui.label(_("Live train graph")).classes("mp-h").props("role=heading aria-level=2")
+                heading(_("Live train graph"))
                 self.status = ui.label(_("not begun")).classes("mp-soft")
                 self.status.props('data-mp="status" aria-live=polite')
                 ui.label("").classes("mp-soft").props('data-mp="pace"')
@@ -75,13 +76,7 @@ class RunningCard:
             self.problem = Problem()
             self.problem.label.props('data-test="running-problem"')
             with ui.element("div").classes("mp-row items-center"):
-                self.pace = ui.select(
-                    translate_each(PACES),
-                    value=30,
-                    label=_("Pace"),
-                    on_change=self.change_pace,
-                )
-                for_users(self.pace).props("outlined dense options-dense").classes("mp-filter")
+                self.build_pace(PACES, 30).props("outlined dense options-dense").classes("mp-filter")
                 ActionButton(_("Run"), icon="play_arrow", on_click=self.start).props(
                     'unelevated data-test="run-line"'
                 )
@@ -91,8 +86,7 @@ class RunningCard:
             self.build_events()
             reads(READS)
             self.plot = plot(running_figure()).props('data-test="running-graph"')
-            log = ui.element("ul").classes("mp-log").props('data-mp="log" aria-live=polite')
-            log.props(prop_of("aria-label", _("News")))
+            self.build_log(_("News"))
             self.result = ui.element("div").props('data-test="running-result"')
         self.root.on("mp-result", self.show_result, ["detail"])
 
@@ -147,26 +141,11 @@ class RunningCard:
             self.problem.show(error_of(row.error))
         return row
 
-    def live(self) -> Session:
-        """Session of the running line.
-
-        Raises:
-            Refused: None is under way.
-        """
-        session = self.service.sessions.get(self.run or "")
-        if session is None or session.over:
-            raise Refused("no line is running; press Run", 409)
-        return session
-
     async def start(self) -> None:
         """Run the line of the form."""
         with self.problem.show_errors():
             body = validate(RunningLineIn, {**self.request(), "pace": float(self.pace.value or 0)})
-            before = self.service.sessions.get(self.run or "")
-            if before is not None and not before.over and before.viewers <= 1:
-                await before.stop()
-            session = await self.service.go_live(body)
-            self.run = session.id
+            session = await self.go_live(body)
             self.fill_stations(body.line)
             self.attach(session.id)
 
@@ -184,15 +163,13 @@ class RunningCard:
     async def stop(self) -> None:
         """Stop the line; it can be resumed."""
         with self.problem.show_errors():
-            await self.live().stop()
+            await self.under_way().stop()
             self.resume_button.set_visibility(True)
 
     async def change_pace(self) -> None:
         """Send the pace to the running line, if there is one."""
-        session = self.service.sessions.get(self.run or "")
         with self.problem.show_errors():
-            if session is not None and not session.over and not session.waiting:
-                await session.ask({"kind": "pace", "pace": float(self.pace.value or 0)})
+            await self.send_pace(float(self.pace.value or 0))
 
     def where(self) -> dict[str, Any]:
         """Station and direction of the fields."""
@@ -202,21 +179,14 @@ class RunningCard:
         """Hold the next train that departs from the station."""
         with self.problem.show_errors():
             body = validate(NewHold, {**self.where(), "hold_s": self.hold_s.value or 0})
-            await self.live().ask({"kind": "hold", **body.model_dump()})
+            await self.ask({"kind": "hold", **body.model_dump()})
 
     async def slow(self) -> None:
         """Slow the section that begins at the station."""
         with self.problem.show_errors():
             values = {"limit_mps": (self.limit.value or 0) / KMH_PER_MPS, "lasts_s": self.lasts_s.value or 0}
             body = validate(NewSlowSection, {**self.where(), **values}, limit_mps=KMH_PER_MPS)
-            await self.live().ask({"kind": "slow", **body.model_dump()})
-
-    def show_result(self, event: events.GenericEventArguments) -> None:
-        """Show how the line ended; taken from the session, not from the browser."""
-        del event
-        session = self.service.sessions.get(self.run or "")
-        if session is not None and session.summary is not None:
-            self.show_summary(session.id, session.summary)
+            await self.ask({"kind": "slow", **body.model_dump()})
 
     def show_summary(self, run: str, found: dict[str, Any]) -> None:
         """Show energy, delays and recovery of a line at its end."""
