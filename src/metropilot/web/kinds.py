@@ -10,32 +10,7 @@ from pydantic import BaseModel
 
 from metropilot.errors import InputError
 from metropilot.evaluate import POLICY, RunSpec
-from metropilot.web.schemas.requests import (
-    CampaignIn,
-    CompareIn,
-    ConvoyIn,
-    DriveIn,
-    ExportIn,
-    FitIn,
-    JourneyIn,
-    LearnIn,
-    LiveIn,
-    OperationIn,
-    RunningLineIn,
-    StudyIn,
-)
-from metropilot.web.schemas.responses import (
-    CampaignResult,
-    CompareOut,
-    DriveOut,
-    ExportResult,
-    FitOut,
-    JourneyOut,
-    LearnResult,
-    OperationOut,
-    RunningLineOut,
-    StudyResult,
-)
+from metropilot.web.schemas import requests, responses
 from metropilot.web.words.language import N_
 from metropilot.web.work import campaigns, drives, exports, fits, learning, operations
 
@@ -76,7 +51,7 @@ class KindRow:
 
 def request_values(body: BaseModel) -> dict[str, Any]:
     """Request of a job as it is stored: of a campaign, which is a file, only what it says."""
-    return body.model_dump(by_alias=True, exclude_unset=isinstance(body, CampaignIn))
+    return body.model_dump(by_alias=True, exclude_unset=isinstance(body, requests.CampaignIn))
 
 
 def live_kind(request: Mapping[str, Any]) -> str:
@@ -106,18 +81,18 @@ def _of_request(make: Callable[[Service, Any], Any]) -> dict[str, Any]:
     }
 
 
-def _check_drive(service: Service, body: DriveIn) -> None:
+def _check_drive(service: Service, body: requests.DriveIn) -> None:
     request = service.run_spec(body)
     request.run()
     check_driver(request)
 
 
-def _check_compare(service: Service, body: CompareIn) -> None:
+def _check_compare(service: Service, body: requests.CompareIn) -> None:
     service.run_spec(body).run()
     _drivers_of(service, body)
 
 
-def _drivers_of(service: Service, body: CompareIn) -> dict[str, str]:
+def _drivers_of(service: Service, body: requests.CompareIn) -> dict[str, str]:
     """Drivers of a comparison for :func:`metropilot.evaluate.compare`, by name.
 
     Raises:
@@ -132,11 +107,11 @@ def _drivers_of(service: Service, body: CompareIn) -> dict[str, str]:
     return found
 
 
-def _check_campaign(service: Service, body: CampaignIn) -> None:
+def _check_campaign(service: Service, body: requests.CampaignIn) -> None:
     campaigns.read_declared(service.campaign_values(body), service.settings.campaign_rows)
 
 
-def _check_learning(_: Service, body: LearnIn) -> None:
+def _check_learning(_: Service, body: requests.LearnIn) -> None:
     from metropilot.learn import recipe
 
     row = recipe(body.driver)
@@ -144,23 +119,23 @@ def _check_learning(_: Service, body: LearnIn) -> None:
     row.task_configuration(body.task)
 
 
-def _check_study(_: Service, body: StudyIn) -> None:
+def _check_study(_: Service, body: requests.StudyIn) -> None:
     from metropilot.studies import STUDIES
 
     STUDIES.get(body.study)
 
 
 LIVE = {
-    "run": KindRow(words=N_("Live run"), body=LiveIn, result=DriveOut),
-    "convoy": KindRow(words=N_("Convoy"), body=ConvoyIn, result=None),
-    "line": KindRow(words=N_("Running line"), body=RunningLineIn, result=RunningLineOut),
+    "run": KindRow(words=N_("Live run"), body=requests.LiveIn, result=responses.DriveOut),
+    "convoy": KindRow(words=N_("Convoy"), body=requests.ConvoyIn, result=None),
+    "line": KindRow(words=N_("Running line"), body=requests.RunningLineIn, result=responses.RunningLineOut),
 }
 """Kinds of live runs by what is driven."""
 JOB_KINDS: dict[str, KindRow] = {
     "drive": KindRow(
         words=N_("Drive"),
-        body=DriveIn,
-        result=DriveOut,
+        body=requests.DriveIn,
+        result=responses.DriveOut,
         files=DRIVEN,
         check=_check_drive,
         work=drives.drive_job,
@@ -168,18 +143,18 @@ JOB_KINDS: dict[str, KindRow] = {
     ),
     "compare": KindRow(
         words=N_("Comparison"),
-        body=CompareIn,
-        result=CompareOut,
+        body=requests.CompareIn,
+        result=responses.CompareOut,
         files=("comparison.json", "comparison.svg", "comparison.png", "run.toml"),
         check=_check_compare,
         work=drives.compare_job,
         values=lambda service, body, _: (service.run_spec(body), _drivers_of(service, body), body.seeds),
     ),
-    "journey": KindRow(words=N_("Journey"), body=JourneyIn, result=JourneyOut),
+    "journey": KindRow(words=N_("Journey"), body=requests.JourneyIn, result=responses.JourneyOut),
     "line": KindRow(
         words=N_("Line"),
-        body=OperationIn,
-        result=OperationOut,
+        body=requests.OperationIn,
+        result=responses.OperationOut,
         files=(
             *("line.json", "day.json", "run.toml", "timetable.csv", "timetable.parquet", "gtfs.zip"),
             *(f"{name}.{kind}" for name in ("trains", "power", "voltage") for kind in ("svg", "png")),
@@ -189,8 +164,8 @@ JOB_KINDS: dict[str, KindRow] = {
     ),
     "campaign": KindRow(
         words=N_("Campaign"),
-        body=CampaignIn,
-        result=CampaignResult,
+        body=requests.CampaignIn,
+        result=responses.CampaignResult,
         files=(campaigns.RESULTS,),
         check=_check_campaign,
         work=campaigns.campaign_job,
@@ -200,24 +175,24 @@ JOB_KINDS: dict[str, KindRow] = {
     ),
     "export": KindRow(
         words=N_("Export"),
-        body=ExportIn,
-        result=ExportResult,
+        body=requests.ExportIn,
+        result=responses.ExportResult,
         work=exports.export_job,
         **_of_request(lambda service, body: service.export_request(body)),
         long=True,
     ),
     "fit": KindRow(
         words=N_("Fit"),
-        body=FitIn,
-        result=FitOut,
+        body=requests.FitIn,
+        result=responses.FitOut,
         files=(fits.TRAINSET, "fit.json", "residuals.svg", "residuals.png"),
         work=fits.fit_job,
         **_of_request(lambda service, body: service.fit_request(body)),
     ),
     "learn": KindRow(
         words=N_("Learning run"),
-        body=LearnIn,
-        result=LearnResult,
+        body=requests.LearnIn,
+        result=responses.LearnResult,
         check=_check_learning,
         work=learning.learn_job,
         values=lambda _, body, run: (request_values(body), run),
@@ -226,8 +201,8 @@ JOB_KINDS: dict[str, KindRow] = {
     ),
     "study": KindRow(
         words=N_("Study"),
-        body=StudyIn,
-        result=StudyResult,
+        body=requests.StudyIn,
+        result=responses.StudyResult,
         check=_check_study,
         work=learning.study_job,
         values=lambda _, body, run: (request_values(body),),  # noqa: ARG005

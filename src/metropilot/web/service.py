@@ -26,21 +26,7 @@ from metropilot.web.errors import Refused, detail_of
 from metropilot.web.kinds import JOB_KINDS, check_driver, request_values, row_of
 from metropilot.web.live.session import Session, Spare, place_words, start_spare
 from metropilot.web.pools import Pools, explain
-from metropilot.web.schemas.requests import (
-    CampaignIn,
-    ConvoyIn,
-    DriveIn,
-    ExportIn,
-    FitIn,
-    JourneyIn,
-    LiveIn,
-    OperationIn,
-    PlanIn,
-    PlantPlanIn,
-    RunningLineIn,
-    SectionIn,
-)
-from metropilot.web.schemas.requests import request_of as resolve
+from metropilot.web.schemas import requests
 from metropilot.web.settings import Settings
 from metropilot.web.store import OVER, JobRow, JobStore, UploadRow, VersionRow
 from metropilot.web.users import check_may_change, present_user
@@ -51,7 +37,8 @@ if TYPE_CHECKING:
     from metropilot.convoy import ConvoyRequest
     from metropilot.web.live.line import RunningRequest
 
-Operated = TypeVar("Operated", OperationIn, RunningLineIn)
+LiveBody = requests.LiveIn | requests.ConvoyIn | requests.RunningLineIn
+Operated = TypeVar("Operated", requests.OperationIn, requests.RunningLineIn)
 SUFFIXES = (".toml", ".json", ".safetensors", LOG_SUFFIX)
 WATCH_S = 10.0
 """Time between two looks at live runs that nobody watches or that wait."""
@@ -187,16 +174,16 @@ class Service:
             raise InputError("no such policy", field=f"options.{POLICY}", value=key, allowed=allowed)
         return found
 
-    def run_spec(self, body: SectionIn) -> RunSpec:
+    def run_spec(self, body: requests.SectionIn) -> RunSpec:
         """Resolve a request to a run.
 
         Raises:
             InputError: A name is unknown, or a number is not allowed.
         """
         values = body.model_dump(exclude={"drivers", "seeds", "pace"})
-        return resolve(DriveIn.model_validate(values), self.path)
+        return requests.request_of(requests.DriveIn.model_validate(values), self.path)
 
-    def operation_request(self, body: OperationIn) -> operations.OperationRequest:
+    def operation_request(self, body: requests.OperationIn) -> operations.OperationRequest:
         """Resolve the request of a line in operation.
 
         Raises:
@@ -207,7 +194,7 @@ class Service:
         names = {kind: self.path(kind, values.pop(kind)) for kind in ("line", "trainset")}
         return operations.OperationRequest(**names, **values, options=options)
 
-    def campaign_values(self, body: CampaignIn) -> dict[str, Any]:
+    def campaign_values(self, body: requests.CampaignIn) -> dict[str, Any]:
         """Values of a campaign's file, ids of uploads and policies replaced by their files.
 
         Raises:
@@ -215,7 +202,7 @@ class Service:
         """
         return campaigns.file_values(body.model_dump(by_alias=True, exclude_unset=True), self.path)
 
-    def export_request(self, body: ExportIn) -> exports.ExportRequest:
+    def export_request(self, body: requests.ExportIn) -> exports.ExportRequest:
         """Resolve the request of an export.
 
         Raises:
@@ -235,7 +222,7 @@ class Service:
             number=body.number,
         )
 
-    def fit_request(self, body: FitIn) -> fits.FitRequest:
+    def fit_request(self, body: requests.FitIn) -> fits.FitRequest:
         """Resolve the request of a fit.
 
         Raises:
@@ -409,15 +396,15 @@ class Service:
             (self.root / "uploads" / file).unlink(missing_ok=True)
 
     # ------------------------------------------------------------------------------------------ answers
-    async def section(self, body: SectionIn) -> dict[str, Any]:
+    async def section(self, body: requests.SectionIn) -> dict[str, Any]:
         """A section and its minimum running time."""
         return await self.pools.answer(plans.section_of, self.run_spec(body))
 
-    async def plan(self, body: PlantPlanIn) -> dict[str, Any]:
+    async def plan(self, body: requests.PlantPlanIn) -> dict[str, Any]:
         """The optimal plan, and with a disturbance that of the true plant."""
         return await self.pools.answer(plans.plan_of, self.run_spec(body))
 
-    async def front(self, body: PlanIn) -> dict[str, Any]:
+    async def front(self, body: requests.PlanIn) -> dict[str, Any]:
         """The time-energy front."""
         return await self.pools.answer(plans.front_of, self.run_spec(body))
 
@@ -426,7 +413,7 @@ class Service:
         names = {name: self.path(name, body[name]) for name in ("line", "trainset")}
         return await self.pools.answer(plans.journey_of, {**body, **names})
 
-    async def keep_journey(self, body: JourneyIn) -> str:
+    async def keep_journey(self, body: requests.JourneyIn) -> str:
         """Plan a journey and keep it as a job; return its id.
 
         Raises:
@@ -480,7 +467,7 @@ class Service:
             Refused: Too many jobs wait, or too many of the user (429); a viewer (403).
         """
         self.check_room()
-        if isinstance(body, OperationIn):
+        if isinstance(body, requests.OperationIn):
             body = self._fit_options(body)
         kind = next(name for name, row in JOB_KINDS.items() if row.body is type(body))
         JOB_KINDS[kind].check(self, body)
@@ -574,7 +561,7 @@ class Service:
             runs.update(record, status="interrupted")
 
     # ------------------------------------------------------------------------------------------ live runs
-    async def go_live(self, body: LiveIn | ConvoyIn | RunningLineIn, job: str | None = None) -> Session:
+    async def go_live(self, body: LiveBody, job: str | None = None) -> Session:
         """Start a live run, or resume one that was interrupted.
 
         One that finds ``live_runs`` under way waits in a queue and starts by itself.
@@ -584,7 +571,7 @@ class Service:
             Refused: Too many live runs wait (429), or it failed to start (422).
         """
         self.check_limits(jobs=1)
-        if isinstance(body, RunningLineIn):
+        if isinstance(body, requests.RunningLineIn):
             body = self._fit_options(body)
         await self.stop_abandoned()
         drives, request = self._live_request(body)
@@ -675,13 +662,15 @@ class Service:
                 words = f"no viewer for {ABANDONED_S:g} s; it can be resumed"
                 self.store.update(session.id, words=words)
 
-    def _live_request(self, body: LiveIn | ConvoyIn | RunningLineIn) -> tuple[str, Any]:
+    def _live_request(self, body: LiveBody) -> tuple[str, Any]:
         """Kind of a live run, and its request as a worker takes it."""
-        if isinstance(body, RunningLineIn):
+        if isinstance(body, requests.RunningLineIn):
             return "line", self._running_line(body)
-        return ("convoy", self._convoy(body)) if isinstance(body, ConvoyIn) else ("run", self._run(body))
+        if isinstance(body, requests.ConvoyIn):
+            return "convoy", self._convoy(body)
+        return "run", self._run(body)
 
-    def _running_line(self, body: RunningLineIn) -> RunningRequest:
+    def _running_line(self, body: requests.RunningLineIn) -> RunningRequest:
         from metropilot.web.live.line import RunningRequest
 
         values = body.model_dump(exclude={"pace"})
@@ -691,17 +680,18 @@ class Service:
         made.operation()
         return made
 
-    def _run(self, body: LiveIn) -> RunSpec:
+    def _run(self, body: requests.LiveIn) -> RunSpec:
         request = self.run_spec(body)
         request.run()
         check_driver(request)
         return request
 
-    def _convoy(self, body: ConvoyIn) -> ConvoyRequest:
+    def _convoy(self, body: requests.ConvoyIn) -> ConvoyRequest:
         from metropilot.convoy import ConvoyRequest, Link
 
         values = body.model_dump()
-        head = self._run(LiveIn.model_validate({n: values[n] for n in LiveIn.model_fields if n != "pace"}))
+        of_head = {n: values[n] for n in requests.LiveIn.model_fields if n != "pace"}
+        head = self._run(requests.LiveIn.model_validate(of_head))
         own = {n: values[n] for n in (*field_specs(ConvoyRequest), "disturbances") if n in values}
         link = {n: values[f"link_{n}"] for n in field_specs(Link) if f"link_{n}" in values}
         own["behind"] = [self.path("trainset", key) for key in values["behind"]]

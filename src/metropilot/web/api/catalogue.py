@@ -8,17 +8,7 @@ from fastapi import APIRouter, Path, Query, UploadFile
 from fastapi.responses import PlainTextResponse
 
 from metropilot.web import catalogue
-from metropilot.web.schemas.requests import VersionIn
-from metropilot.web.schemas.responses import (
-    DayRow,
-    DriverOut,
-    FeedingRow,
-    LineOut,
-    LineRow,
-    TrainsetOut,
-    UploadOut,
-    VersionOut,
-)
+from metropilot.web.schemas import requests, responses
 from metropilot.web.service import Service
 from metropilot.web.store import VersionRow
 
@@ -30,12 +20,12 @@ def routes(service: Service) -> APIRouter:
     """Make the routes of the catalogue."""
     router = APIRouter(tags=["catalogue"])
 
-    @router.get("/lines", response_model=list[LineRow])
+    @router.get("/lines", response_model=list[responses.LineRow])
     def lines() -> list[dict[str, Any]]:
         """Every line."""
         return catalogue.line_rows(service)
 
-    @router.get("/lines/{line_id}", response_model=LineOut)
+    @router.get("/lines/{line_id}", response_model=responses.LineOut)
     def line(line_id: Key) -> dict[str, Any]:
         """A line with stations, sections, limits and gradients."""
         return catalogue.line_out(service, line_id)
@@ -45,12 +35,12 @@ def routes(service: Service) -> APIRouter:
         """A line as metropilot's TOML; of an upload the newest version, if none is named."""
         return _attach(line_id, service.text("line", line_id, version))
 
-    @router.get("/trainsets", response_model=list[TrainsetOut])
+    @router.get("/trainsets", response_model=list[responses.TrainsetOut])
     def trainsets() -> list[dict[str, Any]]:
         """Every trainset."""
         return catalogue.trainset_rows(service)
 
-    @router.get("/trainsets/{trainset_id}", response_model=TrainsetOut)
+    @router.get("/trainsets/{trainset_id}", response_model=responses.TrainsetOut)
     def trainset(trainset_id: Key) -> dict[str, Any]:
         """A trainset."""
         return catalogue.trainset_out(service, trainset_id)
@@ -60,22 +50,22 @@ def routes(service: Service) -> APIRouter:
         """A trainset as metropilot's TOML; of an upload the newest version, if none is named."""
         return _attach(trainset_id, service.text("trainset", trainset_id, version))
 
-    @router.get("/drivers", response_model=list[DriverOut])
+    @router.get("/drivers", response_model=list[responses.DriverOut])
     def drivers() -> list[dict[str, Any]]:
         """Every driver, with its options and their defaults."""
         return catalogue.driver_rows()
 
-    @router.get("/days", response_model=list[DayRow])
+    @router.get("/days", response_model=list[responses.DayRow])
     def days() -> list[dict[str, Any]]:
         """Every working day."""
         return catalogue.day_rows()
 
-    @router.get("/feedings", response_model=list[FeedingRow])
+    @router.get("/feedings", response_model=list[responses.FeedingRow])
     def feedings() -> list[dict[str, Any]]:
         """Every DC network, with the lines that it can feed."""
         return catalogue.feeding_rows(service)
 
-    @router.post("/uploads", response_model=UploadOut, status_code=201)
+    @router.post("/uploads", response_model=responses.UploadOut, status_code=201)
     async def upload(file: UploadFile) -> dict[str, Any]:
         """Upload a line or trainset (metropilot's TOML, TTOBench's JSON), a policy, or a log of runs (CSV).
 
@@ -87,14 +77,14 @@ def routes(service: Service) -> APIRouter:
         row, found = await service.upload(file.filename or "file", content)
         return {"kind": row.kind, "id": row.id, "name": row.name, "notes": found["notes"]}
 
-    @router.get("/uploads/{upload_id}/versions", response_model=list[VersionOut])
+    @router.get("/uploads/{upload_id}/versions", response_model=list[responses.VersionOut])
     def versions(upload_id: Key) -> list[VersionRow]:
         """Versions of an upload, the newest first."""
         service.upload_row(upload_id)
         return service.store.versions(upload_id)
 
-    @router.put("/uploads/{upload_id}", response_model=VersionOut)
-    async def save(upload_id: Key, body: VersionIn) -> VersionRow:
+    @router.put("/uploads/{upload_id}", response_model=responses.VersionOut)
+    async def save(upload_id: Key, body: requests.VersionIn) -> VersionRow:
         """Save the next version of a line or trainset; 409 if another one was saved meanwhile."""
         number = await service.save(upload_id, body.toml, body.version)
         return next(row for row in service.store.versions(upload_id) if row.number == number)

@@ -11,34 +11,7 @@ from fastapi.responses import FileResponse, Response
 from metropilot.web import catalogue
 from metropilot.web.api.catalogue import Key
 from metropilot.web.errors import Refused
-from metropilot.web.schemas.requests import (
-    CompareIn,
-    DriveIn,
-    ExportIn,
-    JourneyIn,
-    LearnIn,
-    NameIn,
-    OperationIn,
-    StudyIn,
-)
-from metropilot.web.schemas.responses import (
-    CompareOut,
-    DifferenceOut,
-    DriveOut,
-    HistoryOut,
-    JobKind,
-    JobOut,
-    JobSort,
-    JobStatus,
-    JourneyOut,
-    OperationOut,
-    RecipeOut,
-    RunOut,
-    StudyOut,
-    StudyPage,
-    StudyRow,
-    TaskOut,
-)
+from metropilot.web.schemas import requests, responses
 from metropilot.web.service import Service
 from metropilot.web.store import JobRow
 
@@ -57,47 +30,47 @@ def routes(service: Service) -> APIRouter:
     """Make the routes of jobs, learning runs and studies."""
     router = APIRouter(tags=["jobs"])
 
-    @router.post("/jobs/drive", response_model=JobOut, status_code=202)
-    def drive(body: DriveIn) -> JobRow:
+    @router.post("/jobs/drive", response_model=responses.JobOut, status_code=202)
+    def drive(body: requests.DriveIn) -> JobRow:
         """Drive one run."""
         return service.store.job(service.submit(body))
 
-    @router.post("/jobs/compare", response_model=JobOut, status_code=202)
-    def compare(body: CompareIn) -> JobRow:
+    @router.post("/jobs/compare", response_model=responses.JobOut, status_code=202)
+    def compare(body: requests.CompareIn) -> JobRow:
         """Drive the same run with several drivers and seeds."""
         return service.store.job(service.submit(body))
 
-    @router.post("/jobs/journey", response_model=JobOut, status_code=201)
-    async def journey(body: JourneyIn) -> JobRow:
+    @router.post("/jobs/journey", response_model=responses.JobOut, status_code=201)
+    async def journey(body: requests.JourneyIn) -> JobRow:
         """Plan a journey at once and keep it."""
         return service.store.job(await service.keep_journey(body))
 
-    @router.post("/jobs/line", response_model=JobOut, status_code=202)
-    def line(body: OperationIn) -> JobRow:
+    @router.post("/jobs/line", response_model=responses.JobOut, status_code=202)
+    def line(body: requests.OperationIn) -> JobRow:
         """Compute the energy of all trains of a line, beside its floor."""
         return service.store.job(service.submit(body))
 
-    @router.post("/jobs/export", response_model=JobOut, status_code=202)
-    def export(body: ExportIn) -> JobRow:
+    @router.post("/jobs/export", response_model=responses.JobOut, status_code=202)
+    def export(body: requests.ExportIn) -> JobRow:
         """Write a learned driver under protection as C or WebAssembly; `/files/run.zip` holds it."""
         return service.store.job(service.submit(body))
 
-    @router.post("/jobs/learn", response_model=JobOut, status_code=202)
-    def learn(body: LearnIn) -> JobRow:
+    @router.post("/jobs/learn", response_model=responses.JobOut, status_code=202)
+    def learn(body: requests.LearnIn) -> JobRow:
         """Learn a driver."""
         return service.store.job(service.submit(body))
 
-    @router.post("/jobs/study", response_model=JobOut, status_code=202)
-    def study(body: StudyIn) -> JobRow:
+    @router.post("/jobs/study", response_model=responses.JobOut, status_code=202)
+    def study(body: requests.StudyIn) -> JobRow:
         """Reproduce a study."""
         return service.store.job(service.submit(body))
 
-    @router.get("/jobs", response_model=list[JobOut])
+    @router.get("/jobs", response_model=list[responses.JobOut])
     def jobs(
-        kind: JobKind | None = None,
-        status: JobStatus | None = None,
+        kind: responses.JobKind | None = None,
+        status: responses.JobStatus | None = None,
         text: Annotated[str, Query(max_length=100)] = "",
-        sort: JobSort = "created",
+        sort: responses.JobSort = "created",
         *,
         ascending: bool = False,
         limit: Annotated[int, Query(ge=1, le=1000)] = 100,
@@ -115,13 +88,13 @@ def routes(service: Service) -> APIRouter:
         }
         return service.store.jobs(kind, limit, **found)
 
-    @router.get("/jobs/{job_id}", response_model=JobOut)
+    @router.get("/jobs/{job_id}", response_model=responses.JobOut)
     def job(job_id: Key) -> JobRow:
         """A job."""
         return service.store.job(job_id)
 
-    @router.patch("/jobs/{job_id}", response_model=JobOut)
-    def name_job(job_id: Key, body: NameIn) -> JobRow:
+    @router.patch("/jobs/{job_id}", response_model=responses.JobOut)
+    def name_job(job_id: Key, body: requests.NameIn) -> JobRow:
         """Name a job."""
         return service.name_job(job_id, body.name)
 
@@ -130,38 +103,38 @@ def routes(service: Service) -> APIRouter:
         """Remove a job with its files; of a learning run the policy, too. One that runs is refused (409)."""
         service.forget_job(job_id)
 
-    @router.get("/jobs/{job_id}/drive", response_model=DriveOut)
+    @router.get("/jobs/{job_id}/drive", response_model=responses.DriveOut)
     def drive_result(job_id: Key) -> Any:  # noqa: ANN401 (validated by the model)
         """Result of a drive, or of a live run that has ended."""
         return catalogue.result_of(service, job_id, ("drive", "live"))
 
-    @router.get("/jobs/{job_id}/compare", response_model=CompareOut)
+    @router.get("/jobs/{job_id}/compare", response_model=responses.CompareOut)
     def compare_result(job_id: Key) -> Any:  # noqa: ANN401 (validated by the model)
         """Result of a comparison."""
         return catalogue.result_of(service, job_id, ("compare",))
 
-    @router.get("/jobs/{job_id}/difference/{other_id}", response_model=DifferenceOut)
+    @router.get("/jobs/{job_id}/difference/{other_id}", response_model=responses.DifferenceOut)
     def difference(job_id: Key, other_id: Key) -> dict[str, Any]:
         """Two drives or live runs of one section against each other, over distance."""
         return catalogue.difference(service, job_id, other_id)
 
-    @router.get("/jobs/{job_id}/journey", response_model=JourneyOut)
+    @router.get("/jobs/{job_id}/journey", response_model=responses.JourneyOut)
     def journey_result(job_id: Key) -> Any:  # noqa: ANN401 (validated by the model)
         """Result of a journey."""
         return catalogue.result_of(service, job_id, ("journey",))
 
-    @router.get("/jobs/{job_id}/line", response_model=OperationOut)
+    @router.get("/jobs/{job_id}/line", response_model=responses.OperationOut)
     def line_result(job_id: Key) -> Any:  # noqa: ANN401 (validated by the model)
         """Energies and train graph of a line; there as soon as the files are being written."""
         return catalogue.result_of(service, job_id, ("line",))
 
-    @router.post("/jobs/{job_id}/stop", response_model=JobOut)
+    @router.post("/jobs/{job_id}/stop", response_model=responses.JobOut)
     def stop(job_id: Key) -> JobRow:
         """Ask a job to end; a learning run ends at its next checkpoint."""
         service.stop(job_id)
         return service.store.job(job_id)
 
-    @router.post("/jobs/{job_id}/resume", response_model=JobOut, status_code=202)
+    @router.post("/jobs/{job_id}/resume", response_model=responses.JobOut, status_code=202)
     def resume(job_id: Key) -> JobRow:
         """Go on with a job that was interrupted, stopped or failed; learning from its last checkpoint."""
         service.resume(job_id)
@@ -202,42 +175,42 @@ def _add_files(router: APIRouter, service: Service) -> None:
 
 
 def _add_learning(router: APIRouter, service: Service) -> None:
-    @router.get("/tasks", response_model=list[TaskOut], tags=["learning"])
+    @router.get("/tasks", response_model=list[responses.TaskOut], tags=["learning"])
     def tasks() -> list[dict[str, Any]]:
         """Learning tasks."""
         return catalogue.task_rows()
 
-    @router.get("/recipes", response_model=list[RecipeOut], tags=["learning"])
+    @router.get("/recipes", response_model=list[responses.RecipeOut], tags=["learning"])
     def recipes() -> list[dict[str, Any]]:
         """Learning recipes of drivers."""
         return catalogue.recipe_rows()
 
-    @router.get("/runs", response_model=list[RunOut], tags=["learning"])
+    @router.get("/runs", response_model=list[responses.RunOut], tags=["learning"])
     def runs() -> list[dict[str, Any]]:
         """Learning runs, the newest first."""
         return catalogue.run_rows(service)
 
-    @router.get("/runs/{run_id}", response_model=RunOut, tags=["learning"])
+    @router.get("/runs/{run_id}", response_model=responses.RunOut, tags=["learning"])
     def run(run_id: Key) -> dict[str, Any]:
         """A learning run."""
         return catalogue.run_out(service, run_id)
 
-    @router.get("/runs/{run_id}/history", response_model=HistoryOut, tags=["learning"])
+    @router.get("/runs/{run_id}/history", response_model=responses.HistoryOut, tags=["learning"])
     def history(run_id: Key) -> dict[str, Any]:
         """History of a learning run, also while it runs."""
         return {"columns": catalogue.history(service, run_id)}
 
-    @router.get("/studies", response_model=list[StudyOut], tags=["learning"])
+    @router.get("/studies", response_model=list[responses.StudyOut], tags=["learning"])
     def studies() -> list[dict[str, Any]]:
         """Papers reproduced."""
         return catalogue.study_rows(service)
 
-    @router.get("/studies/{study_id}", response_model=list[StudyRow], tags=["learning"])
+    @router.get("/studies/{study_id}", response_model=list[responses.StudyRow], tags=["learning"])
     def study_table(study_id: Key) -> list[dict[str, Any]]:
         """The newest table of a study: published, reproduced and optimal values."""
         return catalogue.study_table(service, study_id)
 
-    @router.get("/studies/{study_id}/page", response_model=StudyPage, tags=["learning"])
+    @router.get("/studies/{study_id}/page", response_model=responses.StudyPage, tags=["learning"])
     def study_page(study_id: Key) -> dict[str, Any]:
         """The published page of a study: verdicts on the paper's claims, every row, figures."""
         found = catalogue.study_page(study_id)

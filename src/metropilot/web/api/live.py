@@ -12,20 +12,7 @@ from fastapi.responses import StreamingResponse
 from metropilot.web import catalogue
 from metropilot.web.api.catalogue import Key
 from metropilot.web.live.session import Session
-from metropilot.web.schemas.requests import (
-    ConvoyIn,
-    Lever,
-    LiveIn,
-    NewArrival,
-    NewHold,
-    NewLink,
-    NewRestriction,
-    NewSlowSection,
-    Pace,
-    RequestBody,
-    RunningLineIn,
-)
-from metropilot.web.schemas.responses import EventOut, LiveOut, RunningLineOut
+from metropilot.web.schemas import requests, responses
 from metropilot.web.service import Service
 
 STREAM: dict[int | str, dict[str, Any]] = {
@@ -67,59 +54,59 @@ def routes(service: Service) -> APIRouter:
     """Make the routes of live runs and live convoys."""
     router = APIRouter(tags=["live"])
 
-    async def tell(live_id: str, kind: str, body: RequestBody) -> dict[str, Any]:
+    async def tell(live_id: str, kind: str, body: requests.RequestBody) -> dict[str, Any]:
         at = await service.session(live_id).ask({"kind": kind, **body.model_dump()})
         return {"id": live_id, "at_s": at}
 
-    @router.post("/live", response_model=LiveOut, status_code=201)
-    async def start(body: LiveIn) -> dict[str, Any]:
+    @router.post("/live", response_model=responses.LiveOut, status_code=201)
+    async def start(body: requests.LiveIn) -> dict[str, Any]:
         """Start a live run; one that is `queued` waits at `place` of the queue and starts by itself."""
         return live_out(await service.go_live(body))
 
-    @router.post("/convoys", response_model=LiveOut, status_code=201)
-    async def convoy(body: ConvoyIn) -> dict[str, Any]:
+    @router.post("/convoys", response_model=responses.LiveOut, status_code=201)
+    async def convoy(body: requests.ConvoyIn) -> dict[str, Any]:
         """Start a live convoy; watched, paced and stopped like any live run."""
         return live_out(await service.go_live(body))
 
-    @router.post("/running-lines", response_model=LiveOut, status_code=201)
-    async def running_line(body: RunningLineIn) -> dict[str, Any]:
+    @router.post("/running-lines", response_model=responses.LiveOut, status_code=201)
+    async def running_line(body: requests.RunningLineIn) -> dict[str, Any]:
         """Start a running line with all its trains; watched, paced and stopped like any live run.
 
         A row has the place and the delay of every train, the energy of all since the beginning and its floor.
         """
         return live_out(await service.go_live(body))
 
-    @router.get("/live/{live_id}/line", response_model=RunningLineOut)
+    @router.get("/live/{live_id}/line", response_model=responses.RunningLineOut)
     def line_result(live_id: Key) -> Any:  # noqa: ANN401 (validated by the model)
         """Result of a running line that has come to its end."""
         return catalogue.result_of(service, live_id, ("running",))
 
-    @router.post("/live/{live_id}/hold", response_model=EventOut)
-    async def hold(live_id: Key, body: NewHold) -> dict[str, Any]:
+    @router.post("/live/{live_id}/hold", response_model=responses.EventOut)
+    async def hold(live_id: Key, body: requests.NewHold) -> dict[str, Any]:
         """Hold the next train of a running line that departs from a station."""
         return await tell(live_id, "hold", body)
 
-    @router.post("/live/{live_id}/slow", response_model=EventOut)
-    async def slow(live_id: Key, body: NewSlowSection) -> dict[str, Any]:
+    @router.post("/live/{live_id}/slow", response_model=responses.EventOut)
+    async def slow(live_id: Key, body: requests.NewSlowSection) -> dict[str, Any]:
         """Restrict the speed of a section of a running line for trains that depart from now on."""
         return await tell(live_id, "slow", body)
 
-    @router.post("/live/{live_id}/link", response_model=EventOut)
-    async def link(live_id: Key, body: NewLink) -> dict[str, Any]:
+    @router.post("/live/{live_id}/link", response_model=responses.EventOut)
+    async def link(live_id: Key, body: requests.NewLink) -> dict[str, Any]:
         """Change delay, jitter and loss of the link of a convoy, or silence it."""
         return await tell(live_id, "link", body)
 
-    @router.post("/live/{live_id}/emergency", response_model=EventOut)
+    @router.post("/live/{live_id}/emergency", response_model=responses.EventOut)
     async def emergency(live_id: Key) -> dict[str, Any]:
         """Let the head of a convoy make an emergency brake."""
-        return await tell(live_id, "emergency", RequestBody())
+        return await tell(live_id, "emergency", requests.RequestBody())
 
-    @router.get("/live", response_model=list[LiveOut])
+    @router.get("/live", response_model=list[responses.LiveOut])
     async def runs() -> list[dict[str, Any]]:
         """Live runs of this server, the oldest first."""
         return [live_out(session) for session in service.sessions.values()]
 
-    @router.get("/live/{live_id}", response_model=LiveOut)
+    @router.get("/live/{live_id}", response_model=responses.LiveOut)
     async def one(live_id: Key) -> dict[str, Any]:
         """A live run. A request counts as a viewer; a live run without viewers for 2 min is stopped."""
         session = service.session(live_id)
@@ -136,40 +123,40 @@ def routes(service: Service) -> APIRouter:
         headers = {"Cache-Control": "no-store", "X-Accel-Buffering": "no"}
         return StreamingResponse(body, media_type="text/event-stream", headers=headers)
 
-    @router.post("/live/{live_id}/arrival", response_model=EventOut)
-    async def arrival(live_id: Key, body: NewArrival) -> dict[str, Any]:
+    @router.post("/live/{live_id}/arrival", response_model=responses.EventOut)
+    async def arrival(live_id: Key, body: requests.NewArrival) -> dict[str, Any]:
         """Send the driver a new arrival time."""
         return await tell(live_id, "arrival", body)
 
-    @router.post("/live/{live_id}/restriction", response_model=EventOut)
-    async def restriction(live_id: Key, body: NewRestriction) -> dict[str, Any]:
+    @router.post("/live/{live_id}/restriction", response_model=responses.EventOut)
+    async def restriction(live_id: Key, body: requests.NewRestriction) -> dict[str, Any]:
         """Add a temporary speed restriction on the track ahead."""
         return await tell(live_id, "restriction", body)
 
-    @router.post("/live/{live_id}/lever", response_model=EventOut)
-    async def lever(live_id: Key, body: Lever) -> dict[str, Any]:
+    @router.post("/live/{live_id}/lever", response_model=responses.EventOut)
+    async def lever(live_id: Key, body: requests.Lever) -> dict[str, Any]:
         """Drive manually under protection; without renewal within 3 s the driver takes over.
 
         The lever has one holder. A second one is refused (409); the message names the first.
         """
         return await tell(live_id, "lever", body)
 
-    @router.post("/live/{live_id}/pace", response_model=EventOut)
-    async def pace(live_id: Key, body: Pace) -> dict[str, Any]:
+    @router.post("/live/{live_id}/pace", response_model=responses.EventOut)
+    async def pace(live_id: Key, body: requests.Pace) -> dict[str, Any]:
         """Change the pace of the run: 1 is real time, 0 pauses it."""
         return await tell(live_id, "pace", body)
 
-    @router.post("/live/{live_id}/step", response_model=EventOut)
+    @router.post("/live/{live_id}/step", response_model=responses.EventOut)
     async def step(live_id: Key) -> dict[str, Any]:
         """Pause the run and simulate one second of it; a pace other than 0 lets it go on."""
-        return await tell(live_id, "step", RequestBody())
+        return await tell(live_id, "step", requests.RequestBody())
 
-    @router.post("/live/{live_id}/stop", response_model=EventOut)
+    @router.post("/live/{live_id}/stop", response_model=responses.EventOut)
     async def stop(live_id: Key) -> dict[str, Any]:
         """End a live run, or take it out of the queue; it can be resumed."""
         return {"id": live_id, "at_s": await service.session(live_id).stop()}
 
-    @router.post("/live/{live_id}/resume", response_model=LiveOut, status_code=201)
+    @router.post("/live/{live_id}/resume", response_model=responses.LiveOut, status_code=201)
     async def resume(live_id: Key) -> dict[str, Any]:
         """Resume a live run that was stopped or that a restart interrupted, from where it was."""
         return live_out(await service.resume_live(live_id))

@@ -11,8 +11,7 @@ from nicegui import events, ui
 from metropilot.web.errors import Refused
 from metropilot.web.live.session import Session
 from metropilot.web.pages.frame import for_users, prop_of
-from metropilot.web.schemas.requests import ConvoyIn, LiveIn, RunningLineIn
-from metropilot.web.service import Service
+from metropilot.web.service import LiveBody, Service
 from metropilot.web.words.language import _, translate_each
 
 
@@ -71,7 +70,7 @@ class AbstractWatched(ABC):
             raise Refused(self.idle, 409)
         return session
 
-    async def go_live(self, body: LiveIn | ConvoyIn | RunningLineIn) -> Session:
+    async def go_live(self, body: LiveBody) -> Session:
         """Start a run in the place of the one under way, which is stopped where nobody else watches it."""
         before = self.live()
         if before is not None and before.viewers <= 1:
