@@ -8,10 +8,10 @@ from fastapi import APIRouter, Path, Query
 
 from metropilot.web import evidence
 from metropilot.web.api.catalogue import Key
-from metropilot.web.schemas.requests import CampaignIn, DriveIn
-from metropilot.web.schemas.responses import CampaignOut, CampaignRow, CampaignRowsOut, JobOut
+from metropilot.web.api.jobs import add_job
+from metropilot.web.schemas.requests import DriveIn
+from metropilot.web.schemas.responses import CampaignOut, CampaignRow, CampaignRowsOut
 from metropilot.web.service import Service
-from metropilot.web.store import JobRow
 
 Column = Annotated[str, Query(pattern=r"^[a-z0-9_]{1,40}$")]
 Value = Annotated[str | None, Query(max_length=80)]
@@ -21,10 +21,8 @@ def routes(service: Service) -> APIRouter:
     """Make the routes of campaigns."""
     router = APIRouter(tags=["campaigns"])
 
-    @router.post("/jobs/campaign", response_model=JobOut, status_code=202)
-    def campaign(body: CampaignIn) -> JobRow:
-        """Compute a campaign of drives, declared as in its TOML file; stopped and resumed like learning."""
-        return service.store.job(service.submit(body))
+    words = "Compute a campaign of drives, declared as in its TOML file; stopped and resumed like learning."
+    add_job(router, service, "campaign", words)
 
     @router.get("/campaigns", response_model=list[CampaignRow])
     def campaigns() -> list[dict[str, Any]]:

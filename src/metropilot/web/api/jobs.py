@@ -11,6 +11,7 @@ from fastapi.responses import FileResponse, Response
 from metropilot.web import catalogue
 from metropilot.web.api.catalogue import Key
 from metropilot.web.errors import Refused
+from metropilot.web.kinds import JOB_KINDS
 from metropilot.web.schemas import requests, responses
 from metropilot.web.service import Service
 from metropilot.web.store import JobRow
@@ -26,44 +27,44 @@ FigureName = Annotated[str, Path(pattern=r"^[a-z0-9_]{1,40}\.png$")]
 FileName = Annotated[str, Path(pattern=r"^[a-z]{1,16}(-[0-9])?\.(csv|json|parquet|svg|png|toml|zip)$")]
 
 
+def add_job(router: APIRouter, service: Service, kind: str, words: str) -> None:
+    """Add the route that queues a job of a kind, described by words."""
+
+    def submit(body: Any) -> JobRow:  # noqa: ANN401 (the body of the kind)
+        return service.store.job(service.submit(body))
+
+    submit.__annotations__["body"] = JOB_KINDS[kind].body
+    told: dict[str, Any] = {"name": kind, "description": words, "status_code": 202}
+    router.post(f"/jobs/{kind}", response_model=responses.JobOut, **told)(submit)
+
+
+def add_result(router: APIRouter, service: Service, kind: str, words: str, *others: str) -> None:
+    """Add the route of the result of a job of a kind, or of others with the same result."""
+
+    def result(job_id: Key) -> Any:  # noqa: ANN401 (validated by the model)
+        return catalogue.result_of(service, job_id, (kind, *others))
+
+    told: dict[str, Any] = {"name": f"{kind}_result", "description": words}
+    router.get(f"/jobs/{{job_id}}/{kind}", response_model=JOB_KINDS[kind].result, **told)(result)
+
+
 def routes(service: Service) -> APIRouter:
     """Make the routes of jobs, learning runs and studies."""
     router = APIRouter(tags=["jobs"])
 
-    @router.post("/jobs/drive", response_model=responses.JobOut, status_code=202)
-    def drive(body: requests.DriveIn) -> JobRow:
-        """Drive one run."""
-        return service.store.job(service.submit(body))
-
-    @router.post("/jobs/compare", response_model=responses.JobOut, status_code=202)
-    def compare(body: requests.CompareIn) -> JobRow:
-        """Drive the same run with several drivers and seeds."""
-        return service.store.job(service.submit(body))
+    add_job(router, service, "drive", "Drive one run.")
+    add_job(router, service, "compare", "Drive the same run with several drivers and seeds.")
 
     @router.post("/jobs/journey", response_model=responses.JobOut, status_code=201)
     async def journey(body: requests.JourneyIn) -> JobRow:
         """Plan a journey at once and keep it."""
         return service.store.job(await service.keep_journey(body))
 
-    @router.post("/jobs/line", response_model=responses.JobOut, status_code=202)
-    def line(body: requests.OperationIn) -> JobRow:
-        """Compute the energy of all trains of a line, beside its floor."""
-        return service.store.job(service.submit(body))
-
-    @router.post("/jobs/export", response_model=responses.JobOut, status_code=202)
-    def export(body: requests.ExportIn) -> JobRow:
-        """Write a learned driver under protection as C or WebAssembly; `/files/run.zip` holds it."""
-        return service.store.job(service.submit(body))
-
-    @router.post("/jobs/learn", response_model=responses.JobOut, status_code=202)
-    def learn(body: requests.LearnIn) -> JobRow:
-        """Learn a driver."""
-        return service.store.job(service.submit(body))
-
-    @router.post("/jobs/study", response_model=responses.JobOut, status_code=202)
-    def study(body: requests.StudyIn) -> JobRow:
-        """Reproduce a study."""
-        return service.store.job(service.submit(body))
+    add_job(router, service, "line", "Compute the energy of all trains of a line, beside its floor.")
+    words = "Write a learned driver under protection as C or WebAssembly; `/files/run.zip` holds it."
+    add_job(router, service, "export", words)
+    add_job(router, service, "learn", "Learn a driver.")
+    add_job(router, service, "study", "Reproduce a study.")
 
     @router.get("/jobs", response_model=list[responses.JobOut])
     def jobs(
@@ -103,30 +104,17 @@ def routes(service: Service) -> APIRouter:
         """Remove a job with its files; of a learning run the policy, too. One that runs is refused (409)."""
         service.forget_job(job_id)
 
-    @router.get("/jobs/{job_id}/drive", response_model=responses.DriveOut)
-    def drive_result(job_id: Key) -> Any:  # noqa: ANN401 (validated by the model)
-        """Result of a drive, or of a live run that has ended."""
-        return catalogue.result_of(service, job_id, ("drive", "live"))
-
-    @router.get("/jobs/{job_id}/compare", response_model=responses.CompareOut)
-    def compare_result(job_id: Key) -> Any:  # noqa: ANN401 (validated by the model)
-        """Result of a comparison."""
-        return catalogue.result_of(service, job_id, ("compare",))
+    add_result(router, service, "drive", "Result of a drive, or of a live run that has ended.", "live")
+    add_result(router, service, "compare", "Result of a comparison.")
 
     @router.get("/jobs/{job_id}/difference/{other_id}", response_model=responses.DifferenceOut)
     def difference(job_id: Key, other_id: Key) -> dict[str, Any]:
         """Two drives or live runs of one section against each other, over distance."""
         return catalogue.difference(service, job_id, other_id)
 
-    @router.get("/jobs/{job_id}/journey", response_model=responses.JourneyOut)
-    def journey_result(job_id: Key) -> Any:  # noqa: ANN401 (validated by the model)
-        """Result of a journey."""
-        return catalogue.result_of(service, job_id, ("journey",))
-
-    @router.get("/jobs/{job_id}/line", response_model=responses.OperationOut)
-    def line_result(job_id: Key) -> Any:  # noqa: ANN401 (validated by the model)
-        """Energies and train graph of a line; there as soon as the files are being written."""
-        return catalogue.result_of(service, job_id, ("line",))
+    add_result(router, service, "journey", "Result of a journey.")
+    words = "Energies and train graph of a line; there as soon as the files are being written."
+    add_result(router, service, "line", words)
 
     @router.post("/jobs/{job_id}/stop", response_model=responses.JobOut)
     def stop(job_id: Key) -> JobRow:

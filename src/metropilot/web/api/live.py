@@ -31,23 +31,8 @@ STREAM: dict[int | str, dict[str, Any]] = {
 
 def live_out(session: Session) -> dict[str, Any]:
     """A live run at a glance."""
-    known = session.known
-    return {
-        "id": session.id,
-        "status": known.status,
-        "place": known.place,
-        "user": session.user,
-        "request": session.request,
-        "time_s": known.time_s,
-        "position_m": known.position_m,
-        "pace": known.pace,
-        "behind_s": known.behind_s,
-        "viewers": session.viewers,
-        "scheduled_time_s": known.scheduled_time_s,
-        "lever": known.lever,
-        "outcome": known.outcome,
-        "error": known.error,
-    }
+    about = {name: getattr(session, name) for name in ("id", "user", "request", "viewers")}
+    return vars(session.known) | about
 
 
 def routes(service: Service) -> APIRouter:
@@ -57,6 +42,14 @@ def routes(service: Service) -> APIRouter:
     async def tell(live_id: str, kind: str, body: requests.RequestBody) -> dict[str, Any]:
         at = await service.session(live_id).ask({"kind": kind, **body.model_dump()})
         return {"id": live_id, "at_s": at}
+
+    def add_event(kind: str, body: type[requests.RequestBody], words: str) -> None:
+        async def send(live_id: Key, body: Any) -> dict[str, Any]:  # noqa: ANN401 (the body of the kind)
+            return await tell(live_id, kind, body)
+
+        send.__annotations__["body"] = body
+        told: dict[str, Any] = {"name": kind, "description": words}
+        router.post(f"/live/{{live_id}}/{kind}", response_model=responses.EventOut, **told)(send)
 
     @router.post("/live", response_model=responses.LiveOut, status_code=201)
     async def start(body: requests.LiveIn) -> dict[str, Any]:
@@ -81,20 +74,11 @@ def routes(service: Service) -> APIRouter:
         """Result of a running line that has come to its end."""
         return catalogue.result_of(service, live_id, ("running",))
 
-    @router.post("/live/{live_id}/hold", response_model=responses.EventOut)
-    async def hold(live_id: Key, body: requests.NewHold) -> dict[str, Any]:
-        """Hold the next train of a running line that departs from a station."""
-        return await tell(live_id, "hold", body)
-
-    @router.post("/live/{live_id}/slow", response_model=responses.EventOut)
-    async def slow(live_id: Key, body: requests.NewSlowSection) -> dict[str, Any]:
-        """Restrict the speed of a section of a running line for trains that depart from now on."""
-        return await tell(live_id, "slow", body)
-
-    @router.post("/live/{live_id}/link", response_model=responses.EventOut)
-    async def link(live_id: Key, body: requests.NewLink) -> dict[str, Any]:
-        """Change delay, jitter and loss of the link of a convoy, or silence it."""
-        return await tell(live_id, "link", body)
+    add_event("hold", requests.NewHold, "Hold the next train of a running line that departs from a station.")
+    words = "Restrict the speed of a section of a running line for trains that depart from now on."
+    add_event("slow", requests.NewSlowSection, words)
+    words = "Change delay, jitter and loss of the link of a convoy, or silence it."
+    add_event("link", requests.NewLink, words)
 
     @router.post("/live/{live_id}/emergency", response_model=responses.EventOut)
     async def emergency(live_id: Key) -> dict[str, Any]:
@@ -123,28 +107,15 @@ def routes(service: Service) -> APIRouter:
         headers = {"Cache-Control": "no-store", "X-Accel-Buffering": "no"}
         return StreamingResponse(body, media_type="text/event-stream", headers=headers)
 
-    @router.post("/live/{live_id}/arrival", response_model=responses.EventOut)
-    async def arrival(live_id: Key, body: requests.NewArrival) -> dict[str, Any]:
-        """Send the driver a new arrival time."""
-        return await tell(live_id, "arrival", body)
-
-    @router.post("/live/{live_id}/restriction", response_model=responses.EventOut)
-    async def restriction(live_id: Key, body: requests.NewRestriction) -> dict[str, Any]:
-        """Add a temporary speed restriction on the track ahead."""
-        return await tell(live_id, "restriction", body)
-
-    @router.post("/live/{live_id}/lever", response_model=responses.EventOut)
-    async def lever(live_id: Key, body: requests.Lever) -> dict[str, Any]:
-        """Drive manually under protection; without renewal within 3 s the driver takes over.
-
-        The lever has one holder. A second one is refused (409); the message names the first.
-        """
-        return await tell(live_id, "lever", body)
-
-    @router.post("/live/{live_id}/pace", response_model=responses.EventOut)
-    async def pace(live_id: Key, body: requests.Pace) -> dict[str, Any]:
-        """Change the pace of the run: 1 is real time, 0 pauses it."""
-        return await tell(live_id, "pace", body)
+    add_event("arrival", requests.NewArrival, "Send the driver a new arrival time.")
+    add_event("restriction", requests.NewRestriction, "Add a temporary speed restriction on the track ahead.")
+    add_event(
+        "lever",
+        requests.Lever,
+        "Drive manually under protection; without renewal within 3 s the driver takes over.\n\n"
+        "The lever has one holder. A second one is refused (409); the message names the first.",
+    )
+    add_event("pace", requests.Pace, "Change the pace of the run: 1 is real time, 0 pauses it.")
 
     @router.post("/live/{live_id}/step", response_model=responses.EventOut)
     async def step(live_id: Key) -> dict[str, Any]:
