@@ -16,6 +16,7 @@ from metropilot.evaluate import (
 )
 from metropilot.fit import FittedParameter
 from metropilot.studies import ReportRow
+from metropilot.web.store import JobRow, ProjectRow, VersionRow
 
 JobKind = Literal[
     "drive", "compare", "journey", "line", "campaign", "export", "fit", "learn", "study", "live"
@@ -138,14 +139,8 @@ class UploadOut(BaseModel):
     notes: list[str]
 
 
-class ProjectOut(BaseModel):
+class ProjectOut(fields_of(ProjectRow)):
     """A project: a named folder of jobs, lines, trainsets, policies and logs, with notes; who began it."""
-
-    id: str
-    name: str
-    notes: str
-    created: str
-    user: str | None
 
 
 class ProjectUpload(BaseModel):
@@ -163,12 +158,8 @@ class ProjectEntries(ProjectOut):
     uploads: list[ProjectUpload]
 
 
-class VersionOut(BaseModel):
+class VersionOut(fields_of(VersionRow, "file")):
     """A version of an uploaded or edited file."""
-
-    number: int
-    name: str
-    created: str
 
 
 class SavedOut(VersionOut):
@@ -258,22 +249,12 @@ class JobSummary(BaseModel):
     gap_percent: float | None = None
 
 
-class JobOut(BaseModel):
+class JobOut(fields_of(JobRow)):
     """A job: its name, request, progress, status, result in short, its error if it failed, who began it."""
 
-    id: str
     kind: JobKind
     status: JobStatus
-    request: dict[str, Any]
-    created: str
-    progress: float
-    words: str
-    run: str | None
-    error: dict[str, Any] | None
-    name: str
     summary: JobSummary
-    project: str | None
-    user: str | None
 
 
 class CheckOut(BaseModel):
