@@ -504,7 +504,7 @@ def test_a_journey_of_stations_by_name_is_shown(tmp_path):
 @pytest.mark.parametrize("least_j", [0.0, -3.6e6])
 def test_a_journey_downhill_without_energy_is_shown_without_shares(least_j, tmp_path, monkeypatch):
     told = []
-    monkeypatch.setattr(journeys, "reads", told.extend)
+    monkeypatch.setattr(journeys.parts, "reads", told.extend)
     for name in ("journey_figure", "sections_figure"):
         monkeypatch.setattr(journeys, name, lambda _: {})
     found = {"energy_j": least_j, "bound_j": least_j, "planned_energy_j": least_j, "running_time_s": 90.0}
@@ -530,9 +530,9 @@ def test_the_next_second_of_a_plan_without_energy_has_no_share(tmp_path):
 
 def test_energies_of_a_line_that_returns_all_are_shown_without_shares(tmp_path, monkeypatch):
     told = []
-    monkeypatch.setattr(operations, "reads", told.extend)
+    monkeypatch.setattr(operations.parts, "reads", told.extend)
     monkeypatch.setattr(operations, "operation_figure", lambda *_, **__: {})
-    monkeypatch.setattr(operations, "table", lambda _, rows, **__: told.extend(rows))
+    monkeypatch.setattr(operations.parts, "table", lambda _, rows, **__: told.extend(rows))
     energies = {"line": "hill", "headway_s": 180.0, "feeding": {}, "fleet": 2, "peak_minute_w": 0.0}
     energies |= {"energy_kwh": 1.0, "cruise_kwh": 0.0, "floor_kwh": -1.0, "gap_percent": None}
     energies |= {"returned_kwh": 0.0, "unreceived_kwh": 0.0}

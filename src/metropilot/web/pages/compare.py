@@ -13,6 +13,7 @@ from metropilot.planning import excess_percent
 from metropilot.units import J_PER_KWH
 from metropilot.web import catalogue
 from metropilot.web.errors import Refused
+from metropilot.web.pages import frame as parts
 from metropilot.web.pages.form import (
     DisturbanceForm,
     SectionForm,
@@ -21,16 +22,6 @@ from metropilot.web.pages.form import (
     number_field,
     other_options,
     validate,
-)
-from metropilot.web.pages.frame import (
-    ActionButton,
-    card,
-    empty,
-    frame,
-    links,
-    plot,
-    refresh_while,
-    table,
 )
 from metropilot.web.pages.plots import blank, compare_figure, front_figure
 from metropilot.web.schemas.requests import CompareIn
@@ -76,7 +67,7 @@ class ComparePage:
 
     def build(self) -> None:
         """Build the fields on the left and the results on the right."""
-        with ui.element("div").classes("mp-col"), card(_("Run")):
+        with ui.element("div").classes("mp-col"), parts.card(_("Run")):
             self.form.build()
             drivers = driver_names(self.service)
             wanted = ("optimal", "manual", "flat_out") if self.driver is None else ("optimal", self.driver)
@@ -89,20 +80,20 @@ class ComparePage:
             self.form.problem.beside("seeds", self.seeds)
             self.disturbances.build(self.form.problem)
             with ui.element("div").classes("mp-row"):
-                ActionButton(_("Compare"), on_click=self.start).props('unelevated data-test="compare"')
-                self.cancel = ActionButton(_("Stop"), on_click=self.stop).props("outline")
+                parts.ActionButton(_("Compare"), on_click=self.start).props('unelevated data-test="compare"')
+                self.cancel = parts.ActionButton(_("Stop"), on_click=self.stop).props("outline")
             self.status = ui.label("").classes("mp-soft").props('aria-live=polite data-test="status"')
         with ui.element("div").classes("mp-col"):
-            with card(_("What the next second costs")):
+            with parts.card(_("What the next second costs")):
                 self.words = (
                     ui.label(_("Computing the front …")).classes("mp-soft").props('data-test="second"')
                 )
-                self.front_plot = plot(blank(380))
+                self.front_plot = parts.plot(blank(380))
                 self.front_plot.props('data-test="front"')
-            with card(_("Drivers against each other")):
+            with parts.card(_("Drivers against each other")):
                 self.result = ui.element("div").classes("mp-stack").props('data-test="result"')
                 with self.result:
-                    empty(_("Choose drivers and press Compare."))
+                    parts.empty(_("Choose drivers and press Compare."))
 
     async def load(self) -> None:
         """Load the form of the linked run, then the section; runs once the page is connected."""
@@ -203,7 +194,7 @@ class ComparePage:
         """Follow the job until it is over."""
         self.going = True
         self.status.text = _("queued")
-        refresh_while(lambda: self.going, POLL_S, self.look)
+        parts.refresh_while(lambda: self.going, POLL_S, self.look)
 
     async def look(self) -> None:
         """Show the progress of the job, or its result."""
@@ -238,9 +229,9 @@ class ComparePage:
             what = f"{self.driven['line']} {ends}, {self.driven['trainset']} {self.driven['load']}"
             ui.label(what).classes("mp-soft").props('data-test="driven"')
             compare_table(self.entries)
-            plot(compare_figure(self.entries)).props('data-test="picture"')
+            parts.plot(compare_figure(self.entries)).props('data-test="picture"')
             names = ("comparison.json", "comparison.svg", "report.pdf", "run.zip")
-            links([(name, f"/api/jobs/{self.job}/files/{name}") for name in names])
+            parts.links([(name, f"/api/jobs/{self.job}/files/{name}") for name in names])
         await self.move_cursor()
 
     def stop(self) -> None:
@@ -271,7 +262,7 @@ def compare_table(entries: list[dict[str, Any]]) -> None:
             cells.append((words, "best") if best.get(name) == entry["driver"] else words)
         rows.append(cells)
     columns = (_("driver"), _("outcome"), *(_(words) for _name, words, _factor, _digits in SHOWN))
-    table(columns, rows, right=range(2, len(columns)), name=_("Comparison"))
+    parts.table(columns, rows, right=range(2, len(columns)), name=_("Comparison"))
     note = _(
         "Time and stop are errors; gap: energy above the optimum for the time achieved, split into what "
         "the trainset's actuation costs under protection and what the driver adds. "
@@ -302,7 +293,7 @@ def install(service: Service) -> None:
         line: str | None = None,
         trainset: str | None = None,
     ) -> None:
-        with frame(request, "/compare"):
+        with parts.frame(request, "/compare"):
             page = ComparePage(service, job, driver)
             page.build()
         await ui.context.client.connected()

@@ -12,6 +12,7 @@ from metropilot.errors import MetropilotError
 from metropilot.units import KINDS, KMH_PER_MPS
 from metropilot.web import catalogue
 from metropilot.web.errors import Refused
+from metropilot.web.pages import frame as parts
 from metropilot.web.pages.drive import checks_table
 from metropilot.web.pages.form import (
     DisturbanceForm,
@@ -20,19 +21,6 @@ from metropilot.web.pages.form import (
     driver_names,
     number_field,
     validate,
-)
-from metropilot.web.pages.frame import (
-    ActionButton,
-    Problem,
-    card,
-    for_users,
-    frame,
-    heading,
-    links,
-    plot,
-    reads,
-    strip,
-    table,
 )
 from metropilot.web.pages.plots import convoy_figure, finished_convoy_figure
 from metropilot.web.pages.strip import section_strip
@@ -81,7 +69,7 @@ class ConvoyPage(AbstractWatched):
     def build(self) -> None:
         """Build the fields on the left and the results on the right."""
         with ui.element("div").classes("mp-col"):
-            with card(_("Convoy")):
+            with parts.card(_("Convoy")):
                 self.form.build()
                 problem = self.form.problem
                 followers = list(FOLLOWERS.ids())
@@ -100,10 +88,10 @@ class ConvoyPage(AbstractWatched):
                 self.world.build(problem)
                 with ui.element("div").classes("mp-row"):
                     self.build_pace(PACES, 2).props("outlined dense")
-                    ActionButton(_("Depart"), icon="play_arrow", on_click=self.depart).props(
+                    parts.ActionButton(_("Depart"), icon="play_arrow", on_click=self.depart).props(
                         'unelevated data-test="depart"'
                     )
-                    ActionButton(_("Stop"), on_click=self.stop).props("outline")
+                    parts.ActionButton(_("Stop"), on_click=self.stop).props("outline")
             self.build_link()
         with ui.element("div").classes("mp-col"):
             self.root = (
@@ -111,22 +99,22 @@ class ConvoyPage(AbstractWatched):
             )
             with self.root, ui.element("div").classes("mp-stack"):
                 with ui.element("div").classes("mp-row items-center"):
-                    heading(_("Live convoy"))
+                    parts.heading(_("Live convoy"))
                     self.status = ui.label(_("not departed")).classes("mp-soft")
                     self.status.props('data-mp="status" aria-live=polite')
-                self.strip = strip(_("Section"))
-                reads(READS)
-                self.plot = plot(convoy_figure())
+                self.strip = parts.strip(_("Section"))
+                parts.reads(READS)
+                self.plot = parts.plot(convoy_figure())
                 self.build_log(_("Events"))
                 self.result = ui.element("div").classes("mp-stack").props('data-test="result"')
             self.root.on("mp-result", self.show_result, ["detail"])
 
     def build_link(self) -> None:
         """Build the fields of the link."""
-        with card(
+        with parts.card(
             _("The link"), _("From each trainset to the one behind it; changes act at once."), late=True
         ):
-            self.news = Problem()
+            self.news = parts.Problem()
             with ui.element("div").classes("mp-row"):
                 self.delay = number_field(NewLink, "delay_s")
                 self.jitter = number_field(NewLink, "jitter_s")
@@ -141,10 +129,12 @@ class ConvoyPage(AbstractWatched):
             self.silent = ui.switch(_("Silent: nothing arrives"), on_change=self.relink).props(
                 'data-test="silent"'
             )
-            for_users(self.silent)
+            parts.for_users(self.silent)
             with ui.element("div").classes("mp-row"):
-                ActionButton(_("Set the link"), on_click=self.relink).props('outline data-test="relink"')
-                brake = ActionButton(_("Head: emergency brake"), on_click=self.brake).props(
+                parts.ActionButton(_("Set the link"), on_click=self.relink).props(
+                    'outline data-test="relink"'
+                )
+                brake = parts.ActionButton(_("Head: emergency brake"), on_click=self.brake).props(
                     "outline color=negative"
                 )
                 brake.props('data-test="emergency"')
@@ -271,7 +261,7 @@ class ConvoyPage(AbstractWatched):
             if found["kpis"].get("joint_gap_percent") is not None:
                 ui.label(joint_energy(found["kpis"]))
             names = ("trajectories.zip", "kpis.json", "convoy.svg")
-            links([(name, f"/api/jobs/{run}/files/{name}") for name in names])
+            parts.links([(name, f"/api/jobs/{run}/files/{name}") for name in names])
 
     def show_over(self, row: JobRow, found: dict[str, Any]) -> None:
         """Show a stored convoy."""
@@ -342,7 +332,7 @@ def members_table(trainsets: list[dict[str, Any]]) -> None:
         _("difference (km/h)"),
         _("interventions"),
     )
-    table(columns, rows, right=range(3, 13), name=_("Trainsets"))
+    parts.table(columns, rows, right=range(3, 13), name=_("Trainsets"))
 
 
 def install(service: Service) -> None:
@@ -350,7 +340,7 @@ def install(service: Service) -> None:
 
     @ui.page("/convoy", title="Convoy · metropilot")
     async def convoy(request: Request, run: str | None = None) -> None:
-        with frame(request, "/convoy"):
+        with parts.frame(request, "/convoy"):
             page = ConvoyPage(service, run)
             page.build()
         await ui.context.client.connected()

@@ -16,6 +16,7 @@ from metropilot.units import J_PER_KWH, KMH_PER_MPS
 from metropilot.web import catalogue, evidence
 from metropilot.web.errors import Refused, error_of
 from metropilot.web.live.session import Session
+from metropilot.web.pages import frame as parts
 from metropilot.web.pages.form import (
     DisturbanceForm,
     DriverOptions,
@@ -27,20 +28,6 @@ from metropilot.web.pages.form import (
     number_field,
     other_options,
     validate,
-)
-from metropilot.web.pages.frame import (
-    ActionButton,
-    Problem,
-    card,
-    frame,
-    heading,
-    links,
-    plot,
-    prop_of,
-    reads,
-    set_quietly,
-    strip,
-    table,
 )
 from metropilot.web.pages.moment import MomentSlider
 from metropilot.web.pages.plots import (
@@ -130,7 +117,7 @@ class DrivePage(AbstractWatched):
     def build(self) -> None:
         """Build the fields on the left and the results on the right."""
         with ui.element("div").classes("mp-col"):
-            with card(_("Run")):
+            with parts.card(_("Run")):
                 self.form.build()
                 drivers = driver_names(self.service)
                 first = "optimal" if "optimal" in drivers else next(iter(drivers))
@@ -145,11 +132,11 @@ class DrivePage(AbstractWatched):
                 self.disturbances.build(self.form.problem, self.follow_plant)
                 with ui.element("div").classes("mp-row"):
                     self.build_pace(PACES, 1).props("outlined dense")
-                    ActionButton(_("Depart"), icon="play_arrow", on_click=self.depart).props(
+                    parts.ActionButton(_("Depart"), icon="play_arrow", on_click=self.depart).props(
                         'unelevated data-test="depart"'
                     )
-                    ActionButton(_("Stop"), on_click=self.stop).props('outline data-test="stop"')
-                self.departure = Problem()
+                    parts.ActionButton(_("Stop"), on_click=self.stop).props('outline data-test="stop"')
+                self.departure = parts.Problem()
                 self.departure.fields, self.departure.folds = (
                     self.form.problem.fields,
                     self.form.problem.folds,
@@ -162,10 +149,10 @@ class DrivePage(AbstractWatched):
             self.root.props(f"data-status={'none' if self.row is None else self.row.status}")
             with self.root, ui.element("div").classes("mp-stack"):
                 self.build_head()
-                self.strip = strip(_("Section"))
-                reads(READS)
+                self.strip = parts.strip(_("Section"))
+                parts.reads(READS)
                 self.lever()
-                self.plot = plot(run_figure()).classes("mp-along")
+                self.plot = parts.plot(run_figure()).classes("mp-along")
                 ends = f"'c{self.root.id}', {self.plot.id}"
                 self.plot.on("plotly_relayout", js_handler=f"(e) => metropilot.drag({ends}, e)")
                 self.plot.on("plotly_afterplot", js_handler=f"() => metropilot.arrival({ends})")
@@ -175,23 +162,23 @@ class DrivePage(AbstractWatched):
                 self.build_log(_("News"))
                 self.result = ui.element("div").classes("mp-stack").props('data-test="result"')
             self.why = ui.element("div").classes("mp-col")
-            with card():
-                self.map = strip(_("Whole line"))
+            with parts.card():
+                self.map = parts.strip(_("Whole line"))
             self.root.on("mp-result", self.show_result, ["detail"])
             self.root.on("mp-end", self.show_end, ["detail"])
 
     def build_head(self) -> None:
         """Build the heading of the run: its status, pause, step, resume."""
         with ui.element("div").classes("mp-row items-center"):
-            heading(_("Live run"))
+            parts.heading(_("Live run"))
             status = ui.label(self.status_words()).classes("mp-soft")
             status.props('data-mp="status" aria-live=polite')
             ui.label("").classes("mp-soft").props('data-mp="pace"')
             with ui.element("div").classes("mp-paces"):
-                pause = ActionButton(_("Pause (space)"), on_click=self.pause)
+                pause = parts.ActionButton(_("Pause (space)"), on_click=self.pause)
                 pause.props('outline dense data-mp="pause"')
-                ActionButton(_("Step 1 s"), on_click=self.step).props('outline dense data-test="step"')
-            self.resume_button = ActionButton(_("Resume"), icon="replay", on_click=self.resume)
+                parts.ActionButton(_("Step 1 s"), on_click=self.step).props('outline dense data-test="step"')
+            self.resume_button = parts.ActionButton(_("Resume"), icon="replay", on_click=self.resume)
             self.resume_button.props('outline dense data-test="resume"')
             self.resume_button.set_visibility(self.resumable())
 
@@ -214,7 +201,7 @@ class DrivePage(AbstractWatched):
     def lever(self) -> None:
         """Build the lever of manual driving."""
         with ui.element("div").classes("mp-row items-center"):
-            button = ActionButton(_("Take the lever (M)")).props('outline dense no-caps data-mp="take"')
+            button = parts.ActionButton(_("Take the lever (M)")).props('outline dense no-caps data-mp="take"')
             button.on("click", js_handler="() => metropilot.hand()")
             ui.label(_("the driver has it")).classes("mp-soft").props('data-mp="hand" aria-live=polite')
             with ui.element("div").classes("mp-soft gt-xs"):
@@ -224,32 +211,38 @@ class DrivePage(AbstractWatched):
         with ui.element("div").classes("mp-lever"):
             ui.label(_("brake"))
             slider = ui.element("input").props('type=range min=-1 max=1 step=0.05 disabled data-mp="slider"')
-            slider.props(prop_of("aria-label", _("Lever")))
+            slider.props(parts.prop_of("aria-label", _("Lever")))
             slider.on("input", js_handler="(e) => metropilot.slide(e.target.value)")
             ui.label(_("power")).style("text-align:right")
 
     def build_news(self) -> None:
         """Build the fields of timetable updates."""
-        with card(
+        with parts.card(
             _("During the run"), _("New arrival times and speed restrictions for the driver."), late=True
         ):
-            self.news = Problem()
+            self.news = parts.Problem()
             with ui.element("div").classes("mp-row"):
                 self.arrival = number_field(
                     NewArrival, "scheduled_time_s", value=101, on_change=self.draw_arrival
                 )
                 self.news.beside("scheduled_time_s", self.arrival)
-                ActionButton(_("Tell"), on_click=self.tell_arrival).props('outline data-test="tell-arrival"')
+                parts.ActionButton(_("Tell"), on_click=self.tell_arrival).props(
+                    'outline data-test="tell-arrival"'
+                )
             with ui.element("div").classes("mp-row"):
-                ActionButton(_("10 s earlier"), on_click=lambda: self.shift(-10)).props("flat dense no-caps")
-                ActionButton(_("10 s later"), on_click=lambda: self.shift(10)).props("flat dense no-caps")
+                parts.ActionButton(_("10 s earlier"), on_click=lambda: self.shift(-10)).props(
+                    "flat dense no-caps"
+                )
+                parts.ActionButton(_("10 s later"), on_click=lambda: self.shift(10)).props(
+                    "flat dense no-caps"
+                )
             with ui.element("div").classes("mp-row"):
                 self.from_m = number_field(NewRestriction, "from_m", value=700, on_change=self.draw_draft)
                 self.to_m = number_field(NewRestriction, "to_m", value=900, on_change=self.draw_draft)
                 self.kmh = number_field(NewRestriction, "limit_mps", value=40, on_change=self.draw_draft)
                 for name, element in (("from_m", self.from_m), ("to_m", self.to_m), ("limit_mps", self.kmh)):
                     self.news.beside(name, element.props("outlined dense"))
-            ActionButton(_("Add speed restriction"), on_click=self.restrict).props(
+            parts.ActionButton(_("Add speed restriction"), on_click=self.restrict).props(
                 'outline data-test="restrict"'
             )
 
@@ -296,7 +289,7 @@ class DrivePage(AbstractWatched):
             InputError: Its line, station or trainset does not exist any more.
         """
         self.form.restore(body)
-        with set_quietly(self):
+        with parts.set_quietly(self):
             self.disturbances.restore(body)
         self.driver.value = driver_choice(self.service, self.driver, body["driver"], body["options"])
         self.driver_options.show(self.driver.value, other_options(body["options"]))
@@ -468,7 +461,7 @@ class DrivePage(AbstractWatched):
         with self.result:
             checks_table(found["checks"])
             kpis_table(found["kpis"])
-            links([(name, f"/api/jobs/{run}/files/{name}") for name in TAKEN])
+            parts.links([(name, f"/api/jobs/{run}/files/{name}") for name in TAKEN])
 
     def show_end(self, event: events.GenericEventArguments) -> None:
         """Show the end of the run: a button to resume it, or the reason of its failure."""
@@ -494,15 +487,15 @@ class DrivePage(AbstractWatched):
 def explanation_card(driven: dict[str, Any]) -> None:
     """Show why a drive went as it did: regimes, what bound it, interventions, loss by regime."""
     told, kpis = driven["explanation"], driven["kpis"]
-    with card(_("Why does it drive so?")):
+    with parts.card(_("Why does it drive so?")):
         ui.label(explain_words(told, kpis)).classes("mp-soft").props('data-test="why"')
         with ui.element("div").classes("mp-links"):
             for regime, colour in REGIME_COLOURS.items():
                 ui.label(retell(regime)).classes("mp-swatch").style(f"--mp-swatch: {colour}")
-        plot(explanation_figure(driven)).classes("mp-along").props('data-test="explanation"')
-        table(regime_columns(), regime_rows(told), right=(4, 5, 6), name=_("Regimes"))
+        parts.plot(explanation_figure(driven)).classes("mp-along").props('data-test="explanation"')
+        parts.table(regime_columns(), regime_rows(told), right=(4, 5, 6), name=_("Regimes"))
         if hits := hit_rows(told):
-            table(hit_columns(), hits, right=(3, 4, 5), name=_("Interventions"))
+            parts.table(hit_columns(), hits, right=(3, 4, 5), name=_("Interventions"))
         show_prices(told.get("prices", []))
         show_decisions(told.get("decisions", []))
         ui.label(
@@ -536,7 +529,7 @@ def show_prices(prices: list[dict[str, Any]]) -> None:
         _("−1 s costs (kWh)"),
     )
     with ui.element("div").classes("mp-gridbox w-full").props("tabindex=0"):
-        table(columns, rows, right=range(5), name=_("Worth of a second"))
+        parts.table(columns, rows, right=range(5), name=_("Worth of a second"))
     ui.label(
         _(
             "Worth of a second: energy of the optimal plan from that position and speed to the stop, if it "
@@ -564,7 +557,7 @@ def show_decisions(decisions: list[dict[str, Any]]) -> None:
     ]
     columns = (_("place (m)"), _("time (s)"), _("in all"), _("strongest features"))
     with ui.element("div").classes("mp-gridbox w-full").props("tabindex=0"):
-        table(columns, rows, right=(0, 1, 2), name=_("Strongest features"))
+        parts.table(columns, rows, right=(0, 1, 2), name=_("Strongest features"))
     ui.label(
         _(
             "Strongest features of the learned driver: how far each speaks for {meaning} (negative: against "
@@ -580,12 +573,12 @@ def checks_table(checks: list[dict[str, Any]]) -> None:
         (*texts, (_("✓ passed"), "mp-pass") if passed else (_("✗ failed"), "mp-fail"))
         for *texts, passed in check_rows(checks)
     ]
-    table((_("requirement"), _("measured"), _("allowed"), ""), rows, right=(1,), name=_("Requirements"))
+    parts.table((_("requirement"), _("measured"), _("allowed"), ""), rows, right=(1,), name=_("Requirements"))
 
 
 def kpis_table(k: dict[str, Any]) -> None:
     """Show the main KPIs."""
-    table((_("KPI"), _("value"), ""), translate_kpis(k), right=(1,), name=_("KPIs"))
+    parts.table((_("KPI"), _("value"), ""), translate_kpis(k), right=(1,), name=_("KPIs"))
 
 
 def install(service: Service) -> None:
@@ -603,7 +596,7 @@ def install(service: Service) -> None:
         page = DrivePage(service, run, None if campaign is None else (campaign, row))
         if page.row is not None and not catalogue.page_of(page.row).startswith("/?"):
             return RedirectResponse(catalogue.page_of(page.row))
-        with frame(request, "/"):
+        with parts.frame(request, "/"):
             page.build()
         await ui.context.client.connected()
         with page.departure.show_errors():

@@ -16,20 +16,8 @@ from metropilot.errors import InputError, MetropilotError
 from metropilot.railway import Line, Trainset, parse_document, toml_text
 from metropilot.web import catalogue
 from metropilot.web.errors import Refused
+from metropilot.web.pages import frame as parts
 from metropilot.web.pages.document import DocumentForm, describe
-from metropilot.web.pages.frame import (
-    ActionButton,
-    Problem,
-    card,
-    empty,
-    frame,
-    heading,
-    links,
-    plot,
-    prop_of,
-    reads,
-    strip,
-)
 from metropilot.web.pages.handles import line_handles, move_handle
 from metropilot.web.pages.plots import blank, effort_figure, line_figure
 from metropilot.web.pages.strip import line_strip
@@ -88,10 +76,10 @@ class EditPage:
         """Build the form on the left and the drawing on the right."""
         self.fields = ui.element("div").classes("mp-col")
         with ui.element("div").classes("mp-col mp-beside"):
-            with card():
-                self.title = heading("")
+            with parts.card():
+                self.title = parts.heading("")
                 with ui.element("div").classes("mp-row items-center"):
-                    self.save_button = ActionButton(_("Save"), on_click=self.save).props(
+                    self.save_button = parts.ActionButton(_("Save"), on_click=self.save).props(
                         'unelevated data-test="save"'
                     )
                     self.undo_button = ui.button(_("Undo"), on_click=partial(self.step, 0)).props(
@@ -100,25 +88,25 @@ class EditPage:
                     self.redo_button = ui.button(_("Redo"), on_click=partial(self.step, 1)).props(
                         'outline data-test="redo"'
                     )
-                    ActionButton(_("Save as a copy"), on_click=self.save_copy).props("flat no-caps")
-                self.problem = Problem()
+                    parts.ActionButton(_("Save as a copy"), on_click=self.save_copy).props("flat no-caps")
+                self.problem = parts.Problem()
                 self.status = ui.label("").classes("mp-soft").props('aria-live=polite data-test="status"')
                 self.meanwhile = (
                     ui.element("div").classes("mp-stack mp-notice").props('role=status data-test="meanwhile"')
                 )
                 self.meanwhile.set_visibility(False)
                 self.uses = ui.element("div")
-            with card() as drawing:
+            with parts.card() as drawing:
                 self.numbers = ui.element("div").classes("w-full")
-                self.map = strip(_("Line as drawn"))
-                self.plot = plot(blank(380)).props('data-test="drawing"')
+                self.map = parts.strip(_("Line as drawn"))
+                self.plot = parts.plot(blank(380)).props('data-test="drawing"')
                 if self.kind == "line":
                     ends = f"'c{drawing.id}', {self.plot.id}"
                     self.plot.on("plotly_afterplot", js_handler=f"() => metropilotHandles({ends})")
                     drawing.on("mp-handle", self.drag, ["detail"])
                     words = _("Limits are dragged up and down and at their begin, stations along the line.")
                     ui.label(words).classes("mp-soft")
-            with card(_("Versions")):
+            with parts.card(_("Versions")):
                 self.versions = ui.element("div").classes("mp-stack").props('data-test="versions"')
         self.fill()
         self.list_versions()
@@ -206,7 +194,7 @@ class EditPage:
             raise InputError("another kind of document", field="kind", allowed=self.kind)
         self.numbers.clear()
         with self.numbers:
-            reads(items)
+            parts.reads(items)
 
     @property
     def dirty(self) -> bool:
@@ -285,7 +273,7 @@ class EditPage:
                 )
             )
             with ui.element("div").classes("mp-row"):
-                mine = ActionButton(
+                mine = parts.ActionButton(
                     _("Save mine as version {newest}", newest=newest + 1),
                     on_click=partial(self.save_after, newest),
                 )
@@ -320,7 +308,7 @@ class EditPage:
         with self.uses:
             if self.version:
                 used = f"{self.kind}={self.key}"
-                links(
+                parts.links(
                     [
                         (_("Drive"), f"/?{used}"),
                         (_("Compare"), f"/compare?{used}"),
@@ -329,7 +317,7 @@ class EditPage:
                 )
         with self.versions:
             if not self.version:
-                empty(_("No version yet: Save makes the first one."))
+                parts.empty(_("No version yet: Save makes the first one."))
             for row in self.service.store.versions(self.key):
                 with ui.element("div").classes("mp-row items-center no-wrap"):
                     when = row.created.replace("T", " ").removesuffix("+00:00")
@@ -337,7 +325,7 @@ class EditPage:
                     ui.link("TOML", f"{path}?version={row.number}", new_tab=True).classes("mp-links")
                     again = ui.button(_("Open"), on_click=partial(self.open_version, row.number))
                     words = _("Open version {version}", version=row.number)
-                    again.props("flat dense no-caps").props(prop_of("aria-label", words))
+                    again.props("flat dense no-caps").props(parts.prop_of("aria-label", words))
 
 
 def install(service: Service) -> None:
@@ -345,7 +333,7 @@ def install(service: Service) -> None:
 
     @ui.page("/edit", title="Edit · metropilot")
     async def edit(request: Request, line: str | None = None, trainset: str | None = None) -> None:
-        with frame(request, "/lines"):
+        with parts.frame(request, "/lines"):
             root = ui.element("div").classes("mp-wide mp-edit")
         # what is typed before the browser is connected would be lost
         await ui.context.client.connected()
@@ -354,7 +342,7 @@ def install(service: Service) -> None:
                 key = line or trainset or "yizhuang"
                 page = EditPage(service, "line" if trainset is None else "trainset", key)
             except MetropilotError as error:
-                with card(_("Edit")):
-                    Problem().show(error)
+                with parts.card(_("Edit")):
+                    parts.Problem().show(error)
                 return
             page.build()

@@ -14,22 +14,9 @@ from metropilot.web import catalogue
 from metropilot.web.errors import Refused, error_of
 from metropilot.web.kinds import JOB_KINDS
 from metropilot.web.live.session import GOING
+from metropilot.web.pages import frame as parts
 from metropilot.web.pages.document import describe
 from metropilot.web.pages.form import loads, validate
-from metropilot.web.pages.frame import (
-    ActionButton,
-    Problem,
-    card,
-    empty,
-    frame,
-    heading,
-    links,
-    plot,
-    prop_of,
-    reads,
-    refresh_while,
-    table,
-)
 from metropilot.web.pages.plots import residual_figure
 from metropilot.web.pages.strip import names
 from metropilot.web.schemas.requests import FitIn
@@ -73,7 +60,7 @@ class FitPage:
         """Build logs and fields on the left, the result on the right."""
         with ui.element("div").classes("mp-col"):
             most = f"{self.service.settings.log_bytes / 1e6:g} MB"
-            with card(
+            with parts.card(
                 _("Logs"),
                 _("CSV with time, speed and command or effort, units in the header; {most}.", most=most),
             ):
@@ -93,8 +80,8 @@ class FitPage:
             self.build_fields()
         with ui.element("div").classes("mp-col"):
             self.result = ui.element("div").classes("mp-col").props('data-test="result"')
-            with self.result, card():
-                empty(_("Drop logs and fit: the parameters appear here with their intervals."))
+            with self.result, parts.card():
+                parts.empty(_("Drop logs and fit: the parameters appear here with their intervals."))
         self.fill_logs()
 
     def build_fields(self) -> None:
@@ -103,10 +90,10 @@ class FitPage:
         lines = {"": _("Level, or a gradient column")}
         lines |= {row["id"]: row["name"] for row in catalogue.line_rows(self.service)}
         first = next(iter(trainsets)) if self.trainset not in trainsets else str(self.trainset)
-        with card(
+        with parts.card(
             _("Fit a trainset"), _("Mass, service brake, resistance, dead time and lag from its logs.")
         ):
-            self.problem = Problem()
+            self.problem = parts.Problem()
             self.fields: dict[str, Any] = {
                 "trainset": ui.select(
                     trainsets, value=first, label=_("Begin from"), on_change=self.change_trainset
@@ -138,8 +125,10 @@ class FitPage:
             for name in ("origin", "destination"):
                 self.fields[name].bind_visibility_from(self.fields["line"], "value", bool)
             with ui.element("div").classes("mp-row"):
-                self.go = ActionButton(_("Fit"), on_click=self.start).props('unelevated data-test="fit"')
-                self.stop_button = ActionButton(_("Stop"), on_click=self.stop).props(
+                self.go = parts.ActionButton(_("Fit"), on_click=self.start).props(
+                    'unelevated data-test="fit"'
+                )
+                self.stop_button = parts.ActionButton(_("Stop"), on_click=self.stop).props(
                     'outline data-test="stop"'
                 )
             self.stop_button.set_visibility(False)
@@ -170,14 +159,14 @@ class FitPage:
         rows = self.service.store.uploads(LOG)
         with self.logs:
             if not rows:
-                empty(_("No log yet. The trajectory.csv of a run is one."))
+                parts.empty(_("No log yet. The trajectory.csv of a run is one."))
             for row in rows:
                 with ui.element("div").classes("mp-row items-center no-wrap"):
                     tick = ui.checkbox(row.name, value=row.id in self.chosen).classes("grow")
                     tick.on_value_change(partial(self.tick, row.id))
-                    forget = ActionButton(icon="delete", on_click=partial(self.forget, row.id))
+                    forget = parts.ActionButton(icon="delete", on_click=partial(self.forget, row.id))
                     forget.props("flat dense round")
-                    forget.props(prop_of("aria-label", _("Remove {name}", name=row.name)))
+                    forget.props(parts.prop_of("aria-label", _("Remove {name}", name=row.name)))
 
     def tick(self, key: str, event: events.ValueChangeEventArguments) -> None:
         """Choose a log, or leave it out."""
@@ -229,7 +218,7 @@ class FitPage:
         """Show the job until it is over."""
         if not self.going:
             self.going = True
-            refresh_while(lambda: self.going, POLL_S, self.look)
+            parts.refresh_while(lambda: self.going, POLL_S, self.look)
         self.look()
 
     def look(self) -> None:
@@ -250,15 +239,15 @@ class FitPage:
     def show_refusal(self, error: MetropilotError) -> None:
         """Show in one line what the logs do not determine."""
         self.result.clear()
-        with self.result, card(_("Not fitted")):
+        with self.result, parts.card(_("Not fitted")):
             ui.label(describe(error)).classes("mp-error").props('role=alert data-test="refusal"')
 
     def show(self, row: JobRow, found: dict[str, Any]) -> None:
         """Show parameters, remarks, residuals, files and where to save."""
         self.result.clear()
         with self.result:
-            with card():
-                heading(
+            with parts.card():
+                parts.heading(
                     _(
                         "{trainset}, load {load}, fitted to {logs}",
                         trainset=found["trainset"],
@@ -266,7 +255,7 @@ class FitPage:
                         logs=", ".join(found["logs"]),
                     )
                 )
-                reads(
+                parts.reads(
                     [
                         (_("mass"), number(found["mass_kg"] / 1000, 1, "t"), ""),
                         (_("residuals"), number(found["residual_mps"], 3, "m/s"), ""),
@@ -277,14 +266,16 @@ class FitPage:
                 head = (_("parameter"), _("trainset"), _("estimate"), _("95 % interval"), _("unit"))
                 for name, title in (("parameters", _("Parameters")), ("resistance", _("Resistance"))):
                     rows = [_cells(each) for each in found[name]]
-                    table(head, rows, right=(1, 2), name=title)
+                    parts.table(head, rows, right=(1, 2), name=title)
                 self.show_remarks(found)
                 files = [(name, f"/api/jobs/{row.id}/files/{name}") for name in JOB_KINDS["fit"].files]
-                links([*files, ("run.zip", f"/api/jobs/{row.id}/files/run.zip")])
+                parts.links([*files, ("run.zip", f"/api/jobs/{row.id}/files/run.zip")])
             self.build_save(row)
-            with card(_("Residuals"), _("Measured and simulated speed; what remains; its autocorrelation.")):
+            with parts.card(
+                _("Residuals"), _("Measured and simulated speed; what remains; its autocorrelation.")
+            ):
                 drawn = residual_figure(found["residuals"], found["residual_mps"])
-                plot(drawn).props('data-test="residuals"')
+                parts.plot(drawn).props('data-test="residuals"')
 
     @staticmethod
     def show_remarks(found: dict[str, Any]) -> None:
@@ -301,12 +292,12 @@ class FitPage:
         choices = {NEW: _("A new trainset")}
         choices |= {key: _("Next version of {name}", name=name) for key, name in own.items()}
         began = row.request["trainset"]
-        with card(_("Save the trainset")):
+        with parts.card(_("Save the trainset")):
             with ui.element("div").classes("mp-row items-center"):
                 self.target = ui.select(choices, value=began if began in own else NEW, label=_("Save as"))
                 self.target.props("outlined dense options-dense").classes("grow")
-                ActionButton(_("Save"), on_click=self.save).props('unelevated data-test="save"')
-            self.save_problem = Problem()
+                parts.ActionButton(_("Save"), on_click=self.save).props('unelevated data-test="save"')
+            self.save_problem = parts.Problem()
             self.saved = ui.element("div").classes("mp-stack").props('role=status data-test="saved"')
 
     async def save(self) -> None:
@@ -320,7 +311,7 @@ class FitPage:
                 used = f"trainset={key}"
                 targets = [(_("Edit"), "/edit"), (_("Drive"), "/"), (_("Compare"), "/compare")]
                 shown = [(words, f"{path}?{used}") for words, path in targets]
-                links([*shown, ("TOML", f"/api/trainsets/{key}/toml?version={version.number}")])
+                parts.links([*shown, ("TOML", f"/api/trainsets/{key}/toml?version={version.number}")])
 
     def load(self) -> None:
         """Fill the form with the linked job and follow it."""
@@ -364,7 +355,7 @@ def install(service: Service) -> None:
 
     @ui.page("/fit", title="Fit · metropilot")
     async def fit(request: Request, job: str | None = None, trainset: str | None = None) -> None:
-        with frame(request, "/lines"):
+        with parts.frame(request, "/lines"):
             page = FitPage(service, job, trainset)
             page.build()
         await ui.context.client.connected()

@@ -13,20 +13,8 @@ from nicegui import ui
 from metropilot.planning import excess_percent
 from metropilot.units import J_PER_KWH
 from metropilot.web import catalogue
+from metropilot.web.pages import frame as parts
 from metropilot.web.pages.form import loads, number_field, validate
-from metropilot.web.pages.frame import (
-    ActionButton,
-    Problem,
-    card,
-    clock,
-    frame,
-    links,
-    plot,
-    reads,
-    set_quietly,
-    strip,
-    table,
-)
 from metropilot.web.pages.plots import blank, journey_figure, sections_figure
 from metropilot.web.pages.strip import line_strip, names
 from metropilot.web.schemas.requests import JourneyIn
@@ -52,8 +40,11 @@ class JourneyPage:
         trainsets = {row["id"]: row["name"] for row in catalogue.trainset_rows(self.service)}
         stops = names(self.line["stops"])
         ends = list(stops)
-        with ui.element("div").classes("mp-col"), card(_("Journey"), _("Calls at every station on the way.")):
-            self.problem = Problem()
+        with (
+            ui.element("div").classes("mp-col"),
+            parts.card(_("Journey"), _("Calls at every station on the way.")),
+        ):
+            self.problem = parts.Problem()
             fields: dict[str, Any] = {
                 "line": ui.select(lines, value="yizhuang", label=_("Line"), on_change=self.update_stations),
                 "origin": ui.select(stops, value=ends[0], label=_("From")),
@@ -73,17 +64,17 @@ class JourneyPage:
             )
             self.problem.beside("total_s", self.total).props('data-test="total"')
             self.problem.beside("journey", self.total)
-            ActionButton(_("Plan"), on_click=self.keep).props('unelevated data-test="plan"')
+            parts.ActionButton(_("Plan"), on_click=self.keep).props('unelevated data-test="plan"')
             self.status = ui.label("").classes("mp-soft").props("aria-live=polite")
         with ui.element("div").classes("mp-col"):
-            with card():
-                self.map = strip(_("Whole line"))
+            with parts.card():
+                self.map = parts.strip(_("Whole line"))
                 self.summary = ui.element("div").props('data-test="summary"')
-            with card(_("Train graph")):
-                self.graph = plot(blank(460))
+            with parts.card(_("Train graph")):
+                self.graph = parts.plot(blank(460))
                 self.graph.props('data-test="graph"')
-            with card(_("Sections")):
-                self.bars = plot(blank(400))
+            with parts.card(_("Sections")):
+                self.bars = parts.plot(blank(400))
                 self.rows = ui.element("div").classes("w-full").props('data-test="sections"')
 
     async def update_stations(self) -> None:
@@ -164,7 +155,7 @@ class JourneyPage:
             line.station(body[name]).code if body[name] else end
             for name, end in (("origin", ends[0]), ("destination", ends[-1]))
         )
-        with set_quietly(self):
+        with parts.set_quietly(self):
             self.fields["line"].value, self.fields["trainset"].value = body["line"], body["trainset"]
         self.fields["origin"].set_options(stops, value=origin)
         self.fields["destination"].set_options(stops, value=destination)
@@ -182,7 +173,7 @@ class JourneyPage:
         gap = excess_percent(found["energy_j"], found["bound_j"])
         self.summary.clear()
         with self.summary:
-            reads(
+            parts.reads(
                 (
                     (_("journey time"), f"{minutes} min {seconds:02d} s", ""),
                     (_("energy at the wheel"), f"{found['energy_j'] / J_PER_KWH:.1f} kWh", ""),
@@ -195,7 +186,7 @@ class JourneyPage:
         rows = [
             (
                 f"{a['station']}–{b['station']}",
-                clock(b["arrival_s"]),
+                parts.clock(b["arrival_s"]),
                 number(b["running_time_s"], 1),
                 number(b["minimum_running_time_s"], 1),
                 number(b["running_time_s"] - b["minimum_running_time_s"], 1),
@@ -213,9 +204,9 @@ class JourneyPage:
         )
         self.rows.clear()
         with self.rows:
-            table(columns, rows, right=range(1, 6), name=_("Sections"))
+            parts.table(columns, rows, right=range(1, 6), name=_("Sections"))
             if job is not None:
-                links([("report.pdf", f"/api/jobs/{job}/files/report.pdf")])
+                parts.links([("report.pdf", f"/api/jobs/{job}/files/report.pdf")])
 
 
 def install(service: Service) -> None:
@@ -223,7 +214,7 @@ def install(service: Service) -> None:
 
     @ui.page("/journey", title="Journey · metropilot")
     async def journey(request: Request, job: str | None = None) -> None:
-        with frame(request, "/journey"):
+        with parts.frame(request, "/journey"):
             page = JourneyPage(service, job)
             page.build()
         await ui.context.client.connected()

@@ -14,19 +14,8 @@ from metropilot.studies import PublishedStudy
 from metropilot.web import catalogue
 from metropilot.web.errors import Refused, error_of
 from metropilot.web.live.session import GOING
+from metropilot.web.pages import frame as parts
 from metropilot.web.pages.form import driver_names, is_learned, number_field, validate
-from metropilot.web.pages.frame import (
-    ActionButton,
-    Problem,
-    card,
-    empty,
-    frame,
-    links,
-    plot,
-    prop_of,
-    refresh_while,
-    table,
-)
 from metropilot.web.pages.plots import blank, history_figure
 from metropilot.web.pages.strip import names
 from metropilot.web.pages.tables import DataColumn, DataTable
@@ -53,7 +42,7 @@ class LearnPage:
         """Build the fields on the left and the results on the right."""
         self.recipes = {row["driver"]: row for row in catalogue.recipe_rows()}
         with ui.element("div").classes("mp-col"):
-            with card(_("Learn a driver")):
+            with parts.card(_("Learn a driver")):
                 self.driver = ui.select(
                     list(self.recipes), value="ppo", label=_("Driver"), on_change=self.say_recipe
                 )
@@ -66,7 +55,7 @@ class LearnPage:
                 self.words = ui.label("").classes("mp-soft")
                 self.steps = number_field(LearnIn, "steps", label=_("Environment steps"), step=50_000)
                 self.seed = number_field(LearnIn, "seed", label=_("Seed"), step=1)
-                self.problem = Problem()
+                self.problem = parts.Problem()
                 fields = (
                     ("driver", self.driver),
                     ("budget", self.budget),
@@ -76,30 +65,30 @@ class LearnPage:
                 for name, element in fields:
                     self.problem.beside(name, element.props("outlined dense options-dense"))
                 self.steps.props('data-test="steps"')
-                ActionButton(_("Learn"), on_click=self.start).props('unelevated data-test="learn"')
+                parts.ActionButton(_("Learn"), on_click=self.start).props('unelevated data-test="learn"')
             self.aboard = ExportForm(self.service)
             self.aboard.build()
-            with card(_("Studies"), _("Papers reproduced: published, reproduced and optimal values.")):
+            with parts.card(_("Studies"), _("Papers reproduced: published, reproduced and optimal values.")):
                 self.studies()
         with ui.element("div").classes("mp-col"):
-            with card(_("Run")):
+            with parts.card(_("Run")):
                 with ui.element("div").classes("mp-row items-center"):
                     self.status = ui.label(_("No run chosen.")).classes("mp-soft grow")
                     self.status.props('aria-live=polite data-test="status"')
-                    self.stop_button = ActionButton(_("Stop"), on_click=self.stop).props(
+                    self.stop_button = parts.ActionButton(_("Stop"), on_click=self.stop).props(
                         'outline data-test="stop"'
                     )
-                    self.resume_button = ActionButton(_("Resume"), on_click=self.resume).props(
+                    self.resume_button = parts.ActionButton(_("Resume"), on_click=self.resume).props(
                         'outline data-test="resume"'
                     )
                 self.drive_it = ui.link(_("Compare its policy with the optimum"), "/compare")
                 self.drive_it.classes("mp-links").props('data-test="drive-it"').set_visibility(False)
                 self.bar = ui.linear_progress(value=0, show_value=False).props("rounded")
-                self.bar.props(prop_of("aria-label", _("Progress")))
-                self.plot = plot(blank(560, _("Start a run, or choose one below."))).props(
+                self.bar.props(parts.prop_of("aria-label", _("Progress")))
+                self.plot = parts.plot(blank(560, _("Start a run, or choose one below."))).props(
                     'data-test="curves"'
                 )
-            with card(_("Runs")):
+            with parts.card(_("Runs")):
                 self.runs = ui.element("div").classes("w-full").props('data-test="runs"')
             self.tables = ui.element("div").classes("mp-col").props('data-test="study"')
         self.say_recipe()
@@ -129,7 +118,7 @@ class LearnPage:
 
     def watch(self) -> None:
         """Refresh the page while it is open."""
-        refresh_while(lambda: not self.closed, POLL_S, self.look)
+        parts.refresh_while(lambda: not self.closed, POLL_S, self.look)
 
     async def look(self) -> None:
         """Show the chosen job; read in a thread."""
@@ -195,7 +184,7 @@ class LearnPage:
         self.runs.clear()
         with self.runs:
             if not rows:
-                empty(_("No learning run yet. Quick takes about two minutes on two free cores."))
+                parts.empty(_("No learning run yet. Quick takes about two minutes on two free cores."))
                 return
             with ui.element("div").classes("mp-stack"):
                 for row in rows:
@@ -216,20 +205,20 @@ class LearnPage:
         """Place the list of studies."""
         rows = catalogue.study_rows(self.service)
         if not rows:
-            empty(_("No study is installed."))
+            parts.empty(_("No study is installed."))
         for row in rows:
             with ui.element("div").classes("mp-row items-center no-wrap"):
                 ui.label(f"{row['id']}: {retell(row['title'])}").classes("mp-soft grow")
                 go = ui.button(_("Show"), on_click=partial(self.show_study, row["id"])).props(
                     "flat dense no-caps"
                 )
-                go.props(prop_of("aria-label", _("Show {name}", name=row["id"])))
+                go.props(parts.prop_of("aria-label", _("Show {name}", name=row["id"])))
 
     def show_study(self, key: str) -> None:
         """Show the published page of a study, and the table of the newest reproduction here."""
         self.tables.clear()
         with self.tables:
-            with card(key, _("Reproduced here")):
+            with parts.card(key, _("Reproduced here")):
                 try:
                     study_table(catalogue.study_table(self.service, key))
                 except Refused:
@@ -239,8 +228,8 @@ class LearnPage:
                         if job.request["study"] == key and job.status in GOING
                     ]
                     words = _("Not reproduced here yet; quick takes about 2 min.")
-                    empty(retell(going[0].words or going[0].status) if going else words)
-                again = ActionButton(_("Reproduce (quick)"), on_click=lambda: self.reproduce(key))
+                    parts.empty(retell(going[0].words or going[0].status) if going else words)
+                again = parts.ActionButton(_("Reproduce (quick)"), on_click=lambda: self.reproduce(key))
                 again.props("outline no-caps")
             with self.problem.show_errors():
                 published_page(catalogue.study_page(key))
@@ -269,10 +258,10 @@ class ExportForm:
 
     def build(self) -> None:
         """Place fields, button and status."""
-        with card(
+        with parts.card(
             _("On a controller"), _("A learned driver under protection as C, or in a page of its own.")
         ):
-            self.problem = Problem()
+            self.problem = parts.Problem()
             lines = {row["id"]: row["name"] for row in catalogue.line_rows(self.service)}
             trainsets = {row["id"]: row["name"] for row in catalogue.trainset_rows(self.service)}
             drivers = {name: words for name, words in driver_names(self.service).items() if is_learned(name)}
@@ -288,7 +277,7 @@ class ExportForm:
             }
             for name, field in self.fields.items():
                 self.problem.beside(name, field.props("outlined dense options-dense").classes("w-full"))
-            ActionButton(_("Export"), on_click=self.start).props('unelevated data-test="export"')
+            parts.ActionButton(_("Export"), on_click=self.start).props('unelevated data-test="export"')
             self.status = ui.label("").classes("mp-soft").props('aria-live=polite data-test="export-status"')
             self.files = ui.element("div")
 
@@ -309,7 +298,7 @@ class ExportForm:
         """Show the state of an export until it is over."""
         self.job, self.going = job, True
         self.files.clear()
-        refresh_while(lambda: self.going, POLL_S, self.look)
+        parts.refresh_while(lambda: self.going, POLL_S, self.look)
 
     def look(self) -> None:
         """Show the state, and the download once it is there."""
@@ -319,7 +308,7 @@ class ExportForm:
             self.going = row.status in GOING
             if row.status == "done":
                 with self.files:
-                    links([("run.zip", f"/api/jobs/{row.id}/files/run.zip")])
+                    parts.links([("run.zip", f"/api/jobs/{row.id}/files/run.zip")])
             elif row.error is not None:
                 self.problem.show(error_of(row.error))
             return
@@ -328,7 +317,7 @@ class ExportForm:
 
 def published_page(found: PublishedStudy) -> None:
     """Show the published page of a study: verdicts, rows, figures."""
-    with card(retell(found.title), retell(found.written)):
+    with parts.card(retell(found.title), retell(found.written)):
         if found.verdicts:
             ui.label(retell(found.summary)).classes("mp-soft").props('data-test="verdict"')
             rows = []
@@ -346,12 +335,12 @@ def published_page(found: PublishedStudy) -> None:
                 _("interval"),
                 _("simple rival"),
             )
-            table((*columns, _("verdict"), _("why")), rows, right=(2, 3, 4), name=_("Verdicts"))
+            parts.table((*columns, _("verdict"), _("why")), rows, right=(2, 3, 4), name=_("Verdicts"))
         listed = DataTable(_("Published rows"), STUDY_ROWS)
         listed.build()
         listed.fill([{"id": k, **asdict(row)} for k, row in enumerate(found.rows)])
     if found.figures:
-        with card(_("Figures")):
+        with parts.card(_("Figures")):
             for figure in found.figures:
                 ui.label(retell(figure.caption)).classes("mp-soft")
                 picture = ui.element("img").classes("mp-picture")
@@ -386,7 +375,7 @@ def study_table(rows: list[dict[str, Any]]) -> None:
         _("range"),
         _("optimum"),
     )
-    table(columns, cells, right=(4, 5, 6, 7), name=_("Published, reproduced, optimum"))
+    parts.table(columns, cells, right=(4, 5, 6, 7), name=_("Published, reproduced, optimum"))
 
 
 def figures(value: float | None) -> str:
@@ -416,7 +405,7 @@ def install(service: Service) -> None:
     async def learn(
         request: Request, job: str | None = None, study: str | None = None, export: str | None = None
     ) -> None:
-        with frame(request, "/learn"):
+        with parts.frame(request, "/learn"):
             page = LearnPage(service, job)
             page.build()
             if export is not None:

@@ -12,20 +12,8 @@ from nicegui import events, ui
 from metropilot.errors import MetropilotError
 from metropilot.web import catalogue
 from metropilot.web.errors import detail_of
+from metropilot.web.pages import frame as parts
 from metropilot.web.pages.document import describe
-from metropilot.web.pages.frame import (
-    ActionButton,
-    card,
-    empty,
-    frame,
-    heading,
-    links,
-    plot,
-    prop_of,
-    strip,
-    table,
-    upload_field,
-)
 from metropilot.web.pages.plots import effort_figure, line_figure
 from metropilot.web.pages.strip import line_strip
 from metropilot.web.service import SUFFIXES, Service
@@ -46,13 +34,13 @@ class LinesPage:
     def build(self) -> None:
         """Build the list and the upload on the left and the line on the right."""
         with ui.element("div").classes("mp-col"):
-            with card(_("Lines")):
+            with parts.card(_("Lines")):
                 self.list = ui.element("div").classes("mp-stack")
-            with card(_("Trainsets")):
+            with parts.card(_("Trainsets")):
                 self.trainsets = ui.element("div").classes("mp-stack").props('data-test="trainsets"')
                 ui.link(_("Fit a trainset to logs"), "/fit").classes("mp-soft").props('data-test="to-fit"')
             most = f"{self.service.settings.upload_bytes / 1e6:g} MB"
-            with card(
+            with parts.card(
                 _("Upload"),
                 _(
                     "A line or a trainset (metropilot's TOML, TTOBench's JSON), or a learned policy "
@@ -61,7 +49,7 @@ class LinesPage:
                 ),
             ):
                 largest = self.service.settings.upload_bytes
-                self.upload_in = upload_field(
+                self.upload_in = parts.upload_field(
                     _("Choose a file"), SUFFIXES, largest, self.upload, lambda: self.refuse_large(most)
                 )
                 self.said = ui.element("div").classes("mp-stack").props('role=status data-test="upload-said"')
@@ -89,9 +77,9 @@ class LinesPage:
             button = ui.button(words, on_click=partial(show, row["id"]))
             button.props("flat no-caps dense").classes("grow mp-item")
             if row["uploaded"]:
-                forget = ActionButton(icon="delete", on_click=partial(self.forget, row["id"]))
+                forget = parts.ActionButton(icon="delete", on_click=partial(self.forget, row["id"]))
                 forget.props("flat dense round").props(
-                    prop_of("aria-label", _("Remove {name}", name=row["id"]))
+                    parts.prop_of("aria-label", _("Remove {name}", name=row["id"]))
                 )
 
     def show(self, key: str) -> None:
@@ -101,9 +89,9 @@ class LinesPage:
             try:
                 found = catalogue.line_out(self.service, key)
             except MetropilotError as error:
-                empty(describe(error))
+                parts.empty(describe(error))
                 return
-            with card(
+            with parts.card(
                 found["name"],
                 _(
                     "{stations} stations, {length} km · id {key}",
@@ -112,10 +100,10 @@ class LinesPage:
                     key=key,
                 ),
             ):
-                strip(_("Whole line"), line_strip(found))
-                plot(line_figure(found))
+                parts.strip(_("Whole line"), line_strip(found))
+                parts.plot(line_figure(found))
                 self.edit_link("line", found)
-            with card(_("Sections")):
+            with parts.card(_("Sections")):
                 rows = [
                     (
                         f"{s['origin']}–{s['destination']}",
@@ -126,7 +114,7 @@ class LinesPage:
                     for s in found["sections"]
                 ]
                 columns = (_("section"), _("length (m)"), _("planned there (s)"), _("planned back (s)"))
-                table(columns, rows, right=range(1, 4), name=_("Sections"))
+                parts.table(columns, rows, right=range(1, 4), name=_("Sections"))
             self.notes(_("Notes"), found["notes"])
             self.notes(_("Read but unused"), found["unused"])
             self.notes(_("Sources"), [f"{block}: {text}" for block, text in found["source"].items()])
@@ -138,7 +126,7 @@ class LinesPage:
         used = f"{kind}={found['id']}"
         shown = [(words, f"/edit?{used}"), (_("Drive"), f"/?{used}")]
         shown += [(_("Fit to logs"), f"/fit?{used}")] if kind == "trainset" else []
-        links([*shown, ("TOML", f"/api/{kind}s/{found['id']}/toml")])
+        parts.links([*shown, ("TOML", f"/api/{kind}s/{found['id']}/toml")])
 
     def show_trainset(self, key: str) -> None:
         """Draw a trainset."""
@@ -148,19 +136,19 @@ class LinesPage:
                 found = catalogue.trainset_out(self.service, key)
                 curves = effort_curves(catalogue.trainset(self.service, key))
             except MetropilotError as error:
-                empty(describe(error))
+                parts.empty(describe(error))
                 return
-            with card(found["name"], f"{found['length_m']:.0f} m · id {key}"):
-                plot(effort_figure(curves)).props('data-test="effort"')
+            with parts.card(found["name"], f"{found['length_m']:.0f} m · id {key}"):
+                parts.plot(effort_figure(curves)).props('data-test="effort"')
                 rows = [(name, number(kg / 1000, 1)) for name, kg in found["loads_kg"].items()]
-                table((_("load"), _("mass (t)")), rows, right=(1,), name=_("Loads"))
+                parts.table((_("load"), _("mass (t)")), rows, right=(1,), name=_("Loads"))
                 self.edit_link("trainset", found)
 
     @staticmethod
     def notes(title: str, texts: list[str]) -> None:
         """Show the notes of a file."""
         if texts:
-            with card(title):
+            with parts.card(title):
                 for text in texts:
                     ui.label(text).classes("mp-soft")
 
@@ -191,10 +179,10 @@ class LinesPage:
         told = detail_of(error)
         self.said.clear()
         with self.said:
-            heading(_("This file cannot be used"))
+            parts.heading(_("This file cannot be used"))
             ui.label(retell(told["message"])).classes("mp-error")
             rows = [(_(name), str(told[name])) for name in WHERE if told[name] is not None]
-            table(("", ""), rows, name=_("What is wrong"))
+            parts.table(("", ""), rows, name=_("What is wrong"))
 
     def refuse_large(self, most: str) -> None:
         """Show the error of a file that the browser refused to send."""
@@ -218,7 +206,7 @@ def install(service: Service) -> None:
 
     @ui.page("/lines", title="Lines · metropilot")
     async def lines(request: Request) -> None:
-        with frame(request, "/lines"):
+        with parts.frame(request, "/lines"):
             page = LinesPage(service)
             page.build()
             page.show("yizhuang")

@@ -13,22 +13,8 @@ from metropilot.operation import OperationOptions, saved_and_gap_percent
 from metropilot.web import catalogue
 from metropilot.web.errors import Refused, error_of
 from metropilot.web.live.session import GOING
+from metropilot.web.pages import frame as parts
 from metropilot.web.pages.form import FoldedNumbers, loads, number_field, validate
-from metropilot.web.pages.frame import (
-    ActionButton,
-    Problem,
-    card,
-    empty,
-    frame,
-    heading,
-    links,
-    plot,
-    prop_of,
-    reads,
-    refresh_while,
-    set_quietly,
-    table,
-)
 from metropilot.web.pages.numbers import Slider
 from metropilot.web.pages.plots import headways_figure, operation_figure
 from metropilot.web.pages.running import RunningCard
@@ -88,12 +74,12 @@ class OperationPage:
         self.feedings = catalogue.feeding_rows(self.service)
         with (
             ui.element("div").classes("mp-col"),
-            card(
+            parts.card(
                 _("Line in operation"),
                 _("All trains of a line: their energy, and the floor that none undercuts."),
             ),
         ):
-            self.problem = Problem()
+            self.problem = parts.Problem()
             first = "dkz32" if "dkz32" in trainsets else next(iter(trainsets))
             fields: dict[str, ui.select] = {
                 "line": ui.select(lines, value="yizhuang", label=_("Line"), on_change=self.change_line),
@@ -114,7 +100,7 @@ class OperationPage:
                 self.slider = Slider(
                     min=SHORTEST_S, max=LONGEST_S, step=5, value=180, on_change=self.drag
                 ).props('label data-test="headway"')
-                self.slider.props(prop_of("aria-label", _("Headway in seconds")))
+                self.slider.props(parts.prop_of("aria-label", _("Headway in seconds")))
                 self.slider.on("change", self.release)
                 self.headway = number_field(OperationIn, "headway_s")
                 # not on every change of its value: those that the slider makes come back late
@@ -131,18 +117,18 @@ class OperationPage:
             self.problem.beside("seed", self.seed)
             self.seed.bind_visibility_from(self.optimise, "value")
             with ui.element("div").classes("mp-row"):
-                ActionButton(_("Compute"), on_click=self.start).props('unelevated data-test="compute"')
-                self.sweep_button = ActionButton(_("Sweep headways"), on_click=self.sweep).props(
+                parts.ActionButton(_("Compute"), on_click=self.start).props('unelevated data-test="compute"')
+                self.sweep_button = parts.ActionButton(_("Sweep headways"), on_click=self.sweep).props(
                     'outline data-test="sweep"'
                 )
-                ActionButton(_("Stop"), on_click=self.stop).props('outline data-test="stop"')
+                parts.ActionButton(_("Stop"), on_click=self.stop).props('outline data-test="stop"')
             self.status = ui.label("").classes("mp-soft").props('aria-live=polite data-test="status"')
         with ui.element("div").classes("mp-col"):
-            with card():
+            with parts.card():
                 self.result = ui.element("div").classes("mp-stack").props('data-test="result"')
             self.running.build()
-            with card(_("Over the headway")) as self.curve_card:
-                self.curve = plot(headways_figure({}, 180.0)).props('data-test="curve"')
+            with parts.card(_("Over the headway")) as self.curve_card:
+                self.curve = parts.plot(headways_figure({}, 180.0)).props('data-test="curve"')
         self.fill_names()
 
     def fill_names(self) -> None:
@@ -152,7 +138,7 @@ class OperationPage:
         name, sections = found.id, len(found.stations) - 1
         usual = OperationIn.model_fields["zones"].get_default()
         self.zones.usual = self.zones.value = min(usual, sections)
-        self.zones.props(prop_of("hint", _("{least} to {most}", least=1, most=sections)))
+        self.zones.props(parts.prop_of("hint", _("{least} to {most}", least=1, most=sections)))
         days = {row["id"]: row["name"] for row in catalogue.day_rows() if row["line"] == name}
         fed = {row["id"]: row["name"] for row in self.feedings if line in row["lines"]}
         self.fields["day"].set_options({"": _("One headway"), **days}, value="")
@@ -177,7 +163,7 @@ class OperationPage:
     def change_line(self) -> None:
         """Offer what belongs to the line."""
         if not self.filling:
-            with set_quietly(self):
+            with parts.set_quietly(self):
                 self.fill_names()
             self.change()
 
@@ -185,7 +171,7 @@ class OperationPage:
         """Offer the loads of the trainset."""
         if not self.filling:
             aboard = loads(self.service, self.fields["trainset"].value)
-            with set_quietly(self):
+            with parts.set_quietly(self):
                 self.fields["load"].set_options(aboard, value=next(iter(aboard)))
             self.change()
 
@@ -203,14 +189,14 @@ class OperationPage:
     def drag(self) -> None:
         """Show the headway of the slider, if it is computed."""
         if not self.filling:
-            with set_quietly(self):
+            with parts.set_quietly(self):
                 self.headway.value = self.slider.value
             self.show()
 
     def type_headway(self) -> None:
         """Move the slider to the headway of the field."""
         if self.headway.number is not None:
-            with set_quietly(self):
+            with parts.set_quietly(self):
                 self.slider.value = min(max(self.headway.number, SHORTEST_S), LONGEST_S)
             self.show()
 
@@ -276,7 +262,7 @@ class OperationPage:
     def watch(self) -> None:
         """Follow the jobs until they are over."""
         if len(self.jobs) == 1:
-            refresh_while(lambda: bool(self.jobs), POLL_S, self.look)
+            parts.refresh_while(lambda: bool(self.jobs), POLL_S, self.look)
 
     def look(self) -> None:
         """Show the progress of the jobs, and their results."""
@@ -342,12 +328,12 @@ class OperationPage:
                         "A headway of {headway} is not computed for these settings. Press Compute.",
                         headway=number(float(at), 0, "s"),
                     )
-                empty(what)
+                parts.empty(what)
                 return
             with_run = f"&run={self.running.run}" if self.running.run else ""
             ui.run_javascript(f"history.replaceState(null, '', '/line?job={job}{with_run}')")
             self.show_energies(found, day=day)
-            links([(name, f"/api/jobs/{job}/files/{name}") for name in self.files(found)])
+            parts.links([(name, f"/api/jobs/{job}/files/{name}") for name in self.files(found)])
 
     def draw_curve(self, headway_s: float) -> None:
         """Draw the energies over the headway, where they or the cursor have changed."""
@@ -366,7 +352,7 @@ class OperationPage:
         """Show numbers, train graph and energies."""
         told, least = found["energies"], found["bottleneck"]
         unit = _("kWh a day") if day else _("kWh a round trip")
-        heading(
+        parts.heading(
             told["day"]
             if day
             else _("{line}, every {headway} s", line=told["line"], headway=told["headway_s"])
@@ -385,8 +371,8 @@ class OperationPage:
                 else (_("technical headway"), number(least["headway_s"], 1, "s"), "")
             ),
         ]
-        reads(items)
-        plot(operation_figure(found["graph"], day=day)).props('data-test="graph"')
+        parts.reads(items)
+        parts.plot(operation_figure(found["graph"], day=day)).props('data-test="graph"')
         rows = [
             (
                 _(driving),
@@ -397,7 +383,7 @@ class OperationPage:
             for driving, timetable, name in ROWS
             if name in told
         ]
-        table(
+        parts.table(
             (_("driving"), _("timetable"), unit, _("saved %"), _("gap %")),
             rows,
             right=(2, 3, 4),
@@ -490,7 +476,7 @@ def install(service: Service) -> None:
 
     @ui.page("/line", title="Line · metropilot")
     async def line(request: Request, job: str | None = None, run: str | None = None) -> None:
-        with frame(request, "/line"):
+        with parts.frame(request, "/line"):
             page = OperationPage(service, job, run)
             page.build()
         await ui.context.client.connected()

@@ -9,17 +9,8 @@ from typing import Any
 from nicegui import events, ui
 
 from metropilot.web import projects
+from metropilot.web.pages import frame as parts
 from metropilot.web.pages.form import validate
-from metropilot.web.pages.frame import (
-    ActionButton,
-    Problem,
-    card,
-    for_users,
-    links,
-    prop_of,
-    question,
-    upload_field,
-)
 from metropilot.web.schemas.requests import ProjectIn
 from metropilot.web.service import Service
 from metropilot.web.words.language import N_, _
@@ -46,7 +37,7 @@ class ProjectCard:
         """Options of a list of projects; the empty one stands for none."""
         return {"": nothing, **{row.id: row.name for row in self.service.store.projects()}}
 
-    def build_choice(self, problem: Problem) -> None:
+    def build_choice(self, problem: parts.Problem) -> None:
         """Place the list of projects with its buttons; errors are shown where the page shows them."""
         self.problem = problem
         with problem.show_errors():
@@ -56,8 +47,8 @@ class ProjectCard:
             self.choice = ui.select(self.names(_(EVERY)), value=self.key or "", label=_("Project"))
             self.choice.props("outlined dense options-dense").classes("mp-filter")
             self.choice.on_value_change(lambda event: self.choose(event.value))
-            ActionButton(_("New project"), on_click=self.begin).props('outline data-test="new-project"')
-            ActionButton(_("Import"), on_click=self.ask_archive).props('outline data-test="import"')
+            parts.ActionButton(_("New project"), on_click=self.begin).props('outline data-test="new-project"')
+            parts.ActionButton(_("Import"), on_click=self.ask_archive).props('outline data-test="import"')
 
     def build(self) -> None:
         """Place the card of the chosen project."""
@@ -84,16 +75,16 @@ class ProjectCard:
             return
         found = projects.project_out(self.service, self.key)
         begun = _("Begun by {user}.", user=found["user"]) if found["user"] else ""
-        with self.place, card(found["name"], begun) as made:
+        with self.place, parts.card(found["name"], begun) as made:
             made.props('data-test="project"')
-            self.told = Problem()
+            self.told = parts.Problem()
             self.name = ui.input(_("Name of the project"), value=found["name"]).props(
                 "outlined dense maxlength=80"
             )
             self.notes = ui.textarea(_("Notes"), value=found["notes"]).props("outlined dense autogrow")
             self.notes.props("debounce=300")
             for field in (self.name, self.notes):
-                for_users(field.classes("w-full").on("blur", self.keep))
+                parts.for_users(field.classes("w-full").on("blur", self.keep))
             self.told.beside("name", self.name)
             self.told.beside("notes", self.notes)
             for upload in found["uploads"]:
@@ -106,10 +97,10 @@ class ProjectCard:
             }
             if others:
                 add = ui.select(others, label=_("Add an own line, trainset, policy or log"))
-                for_users(add.props("outlined dense options-dense").classes("w-full"))
+                parts.for_users(add.props("outlined dense options-dense").classes("w-full"))
                 add.on_value_change(lambda event: self.put(event.value, self.key))
-            links([(_("Export"), f"/api/projects/{self.key}/archive")])
-            forget = ActionButton(_("Remove project"), on_click=self.forget).props("flat dense no-caps")
+            parts.links([(_("Export"), f"/api/projects/{self.key}/archive")])
+            forget = parts.ActionButton(_("Remove project"), on_click=self.forget).props("flat dense no-caps")
             forget.tooltip(_("Its runs, lines and trainsets stay."))
 
     def upload_row(self, upload: dict[str, Any]) -> None:
@@ -118,10 +109,12 @@ class ProjectCard:
         with ui.element("div").classes("mp-row items-center no-wrap"):
             ui.label(f"{retell(kind)} · {upload['name']}").classes("grow")
             if kind in {"line", "trainset"}:
-                links([(_("Edit"), f"/edit?{kind}={key}"), (_("Drive"), f"/?{kind}={key}")])
-            out = ActionButton(icon="remove", on_click=partial(self.put, key, None)).props("flat dense round")
+                parts.links([(_("Edit"), f"/edit?{kind}={key}"), (_("Drive"), f"/?{kind}={key}")])
+            out = parts.ActionButton(icon="remove", on_click=partial(self.put, key, None)).props(
+                "flat dense round"
+            )
             words = _("Take {name} out of the project", name=upload["name"])
-            out.props(prop_of("aria-label", words))
+            out.props(parts.prop_of("aria-label", words))
 
     def put(self, upload: str, project: str | None) -> None:
         """File a line, trainset, policy or log in the project, or take it out."""
@@ -150,11 +143,11 @@ class ProjectCard:
     async def ask_archive(self) -> None:
         """Ask for an archive and show its project."""
         most = self.service.settings.archive_bytes
-        with question(_("Import a project")) as dialog:
+        with parts.question(_("Import a project")) as dialog:
             ui.label(
                 _("An archive that Export made, up to {most} MB.", most=f"{most / 1000000.0:g}")
             ).classes("mp-soft")
-            problem = Problem()
+            problem = parts.Problem()
 
             async def take(event: events.UploadEventArguments) -> None:
                 with problem.show_errors():
@@ -164,7 +157,7 @@ class ProjectCard:
             def refuse() -> None:
                 problem.label.text = _("not taken: a .zip file of at most {most} MB", most=f"{most / 1e6:g}")
 
-            upload_field(_("Choose an archive"), (".zip",), most, take, refuse)
+            parts.upload_field(_("Choose an archive"), (".zip",), most, take, refuse)
             ui.button(_("Cancel"), on_click=dialog.close).props("flat")
         key = await dialog
         dialog.delete()

@@ -11,15 +11,8 @@ from metropilot.units import KMH_PER_MPS
 from metropilot.web import catalogue
 from metropilot.web.errors import Refused, error_of
 from metropilot.web.live.line import DELAYS
+from metropilot.web.pages import frame as parts
 from metropilot.web.pages.form import names, number_field, validate
-from metropilot.web.pages.frame import (
-    ActionButton,
-    Problem,
-    heading,
-    links,
-    plot,
-    reads,
-)
 from metropilot.web.pages.plots import finished_line_figure, running_figure
 from metropilot.web.pages.watched import AbstractWatched
 from metropilot.web.schemas.requests import NewHold, NewSlowSection, RunningLineIn
@@ -62,7 +55,7 @@ class RunningCard(AbstractWatched):
         self.root = ui.element("section").classes("mp-card").props('data-test="running" data-status="none"')
         with self.root, ui.element("div").classes("mp-stack"):
             with ui.element("div").classes("mp-row items-center"):
-                heading(_("Live train graph"))
+                parts.heading(_("Live train graph"))
                 self.status = ui.label(_("not begun")).classes("mp-soft")
                 self.status.props('data-mp="status" aria-live=polite')
                 ui.label("").classes("mp-soft").props('data-mp="pace"')
@@ -73,19 +66,19 @@ class RunningCard(AbstractWatched):
                     "their reserves."
                 )
             ).classes("mp-soft")
-            self.problem = Problem()
+            self.problem = parts.Problem()
             self.problem.label.props('data-test="running-problem"')
             with ui.element("div").classes("mp-row items-center"):
                 self.build_pace(PACES, 30).props("outlined dense options-dense").classes("mp-filter")
-                ActionButton(_("Run"), icon="play_arrow", on_click=self.start).props(
+                parts.ActionButton(_("Run"), icon="play_arrow", on_click=self.start).props(
                     'unelevated data-test="run-line"'
                 )
-                ActionButton(_("Stop"), on_click=self.stop).props('outline data-test="stop-line"')
-                self.resume_button = ActionButton(_("Resume"), icon="replay", on_click=self.resume)
+                parts.ActionButton(_("Stop"), on_click=self.stop).props('outline data-test="stop-line"')
+                self.resume_button = parts.ActionButton(_("Resume"), icon="replay", on_click=self.resume)
                 self.resume_button.props('outline data-test="resume-line"').set_visibility(False)
             self.build_events()
-            reads(READS)
-            self.plot = plot(running_figure()).props('data-test="running-graph"')
+            parts.reads(READS)
+            self.plot = parts.plot(running_figure()).props('data-test="running-graph"')
             self.build_log(_("News"))
             self.result = ui.element("div").props('data-test="running-result"')
         self.root.on("mp-result", self.show_result, ["detail"])
@@ -99,11 +92,11 @@ class RunningCard(AbstractWatched):
             )
         with ui.element("div").classes("mp-row items-start"):
             self.hold_s = number_field(NewHold, "hold_s")
-            ActionButton(_("Hold the next train"), on_click=self.hold).props('outline data-test="hold"')
+            parts.ActionButton(_("Hold the next train"), on_click=self.hold).props('outline data-test="hold"')
         with ui.element("div").classes("mp-row items-start"):
             self.limit = number_field(NewSlowSection, "limit_mps", value=25)
             self.lasts_s = number_field(NewSlowSection, "lasts_s")
-            ActionButton(_("Slow the section from there"), on_click=self.slow).props(
+            parts.ActionButton(_("Slow the section from there"), on_click=self.slow).props(
                 'outline data-test="slow"'
             )
         for name, element in (
@@ -193,7 +186,7 @@ class RunningCard(AbstractWatched):
         self.result.clear()
         with self.result:
             ui.label(describe_end(found)).classes("mp-soft")
-            links([(DELAYS, f"/api/jobs/{run}/files/{DELAYS}")])
+            parts.links([(DELAYS, f"/api/jobs/{run}/files/{DELAYS}")])
 
 
 def describe_end(found: dict[str, Any]) -> str:

@@ -14,19 +14,8 @@ from nicegui import run, ui
 from metropilot.web import catalogue, projects
 from metropilot.web.errors import Refused
 from metropilot.web.live.session import GOING, place_words
+from metropilot.web.pages import frame as parts
 from metropilot.web.pages.form import validate
-from metropilot.web.pages.frame import (
-    ActionButton,
-    Problem,
-    card,
-    clock,
-    empty,
-    frame,
-    plot,
-    prop_of,
-    question,
-    table,
-)
 from metropilot.web.pages.plots import difference_figure
 from metropilot.web.pages.projects import ProjectCard
 from metropilot.web.pages.tables import DataColumn, DataTable
@@ -85,12 +74,12 @@ class RunList:
 
     def build(self) -> None:
         """Place the list."""
-        with card(
+        with parts.card(
             _("Live runs"),
             _("A run without a viewer for {minutes} min is stopped.", minutes=f"{ABANDONED_S / 60:g}"),
             late=True,
         ):
-            self.problem = Problem()
+            self.problem = parts.Problem()
             self.rows = ui.element("div").classes("mp-stack").props('data-test="runs"')
         self.refresh()
         ui.timer(EVERY_S, self.refresh)
@@ -105,7 +94,7 @@ class RunList:
             with self.rows:
                 self.words = {row.id: self.row(row) for row in found}
                 if not found:
-                    empty(_("No run is under way."))
+                    parts.empty(_("No run is under way."))
         for row in found:
             self.words[row.id].text = self.state(row)
 
@@ -117,7 +106,7 @@ class RunList:
         known = session.known
         if session.waiting:
             return _("waits: {place}", place=retell(place_words(known.place)))
-        said = [clock(known.time_s), f"{known.pace:g} ×" if known.pace else _("paused")]
+        said = [parts.clock(known.time_s), f"{known.pace:g} ×" if known.pace else _("paused")]
         said.append(_("{count} watching", count=session.viewers) if session.viewers else _("no viewer"))
         if known.lever is not None:
             said.append(_("lever: {holder}", holder=known.lever["holder"]))
@@ -132,19 +121,19 @@ class RunList:
             said = ui.label("").classes("mp-soft")
             with ui.element("div").classes("mp-links"):
                 if row.status in GOING:
-                    ui.link(_("Open"), path).props(prop_of("aria-label", _("Open {name}", name=name)))
+                    ui.link(_("Open"), path).props(parts.prop_of("aria-label", _("Open {name}", name=name)))
                     words = _("Stop") if row.status == "running" else _("Cancel")
                     self.button(words, name, partial(self.stop, row.id))
                 else:
-                    ui.link(_("Show"), path).props(prop_of("aria-label", _("Show {name}", name=name)))
+                    ui.link(_("Show"), path).props(parts.prop_of("aria-label", _("Show {name}", name=name)))
                     self.button(_("Resume"), name, partial(self.resume, row.id, path))
         return said
 
     @staticmethod
     def button(words: str, name: str, act: Callable[[], Awaitable[None]]) -> None:
         """Place a small button of a row."""
-        made = ActionButton(words, on_click=act).props("flat dense no-caps")
-        made.props(prop_of("aria-label", _("{action} {row}", action=words, row=name)))
+        made = parts.ActionButton(words, on_click=act).props("flat dense no-caps")
+        made.props(parts.prop_of("aria-label", _("{action} {row}", action=words, row=name)))
 
     async def stop(self, run: str) -> None:
         """Stop a run, or take it out of the queue; it can be resumed."""
@@ -178,14 +167,14 @@ class RunsPage:
     def build(self) -> None:
         """Place the list, and below it two runs against each other."""
         with ui.element("div").classes("mp-col mp-wide"):
-            with card(
+            with parts.card(
                 _("Runs"),
                 _(
                     "Drives, comparisons, convoys, journeys, lines and learning runs of this server: a click "
                     "on a heading sorts, on a run opens it. Choose two drives of one section to compare them."
                 ),
             ):
-                self.problem = Problem()
+                self.problem = parts.Problem()
                 self.project.build_choice(self.problem)
                 actions = {N_("Name"): self.ask_name, N_("Stop"): self.stop, N_("Resume"): self.resume}
                 self.list = DataTable(
@@ -199,9 +188,9 @@ class RunsPage:
                 with ui.element("div").classes("mp-row items-center"):
                     self.compare_button = ui.button(_("Compare two"), on_click=self.compare)
                     self.compare_button.props('outline data-test="compare-two"')
-                    self.delete_button = ActionButton(_("Delete"), on_click=self.ask_delete)
+                    self.delete_button = parts.ActionButton(_("Delete"), on_click=self.ask_delete)
                     self.delete_button.props('outline color=negative data-test="delete"')
-                    self.move_button = ActionButton(_("Move to project"), on_click=self.ask_project)
+                    self.move_button = parts.ActionButton(_("Move to project"), on_click=self.ask_project)
                     self.move_button.props('outline data-test="move"')
                     self.status = ui.label("").classes("mp-soft").props('aria-live=polite data-test="chosen"')
                 self.list.build()
@@ -275,8 +264,8 @@ class RunsPage:
         """Ask for the name of a run and keep it."""
         with self.problem.show_errors():
             row = self.service.store.job(job)
-            with question(_("Name of {run}", run=retell(catalogue.describe_job(row)))) as dialog:
-                problem = Problem()
+            with parts.question(_("Name of {run}", run=retell(catalogue.describe_job(row)))) as dialog:
+                problem = parts.Problem()
                 field = ui.input(_("Name"), value=row.name).props("outlined dense autofocus maxlength=80")
                 problem.beside("name", field.classes("w-full"))
 
@@ -315,7 +304,7 @@ class RunsPage:
         """Ask, then delete the chosen runs."""
         chosen = self.list.chosen
         what = ngettext("{count} run", "{count} runs", len(chosen))
-        with question(_("Delete {what}?", what=what)) as dialog:
+        with parts.question(_("Delete {what}?", what=what)) as dialog:
             ui.label(_("Files and results go with them; of a learning run its policy.")).classes("mp-soft")
             with ui.element("div").classes("mp-row"):
                 sure = ui.button(_("Delete {what}", what=what), on_click=lambda: dialog.submit(True))
@@ -332,7 +321,7 @@ class RunsPage:
     async def ask_project(self) -> None:
         """Ask for a project and move the chosen runs to it."""
         chosen = self.list.chosen
-        with question(_("Move to project")) as dialog:
+        with parts.question(_("Move to project")) as dialog:
             field = ui.select(
                 self.project.names(_("none")), value=self.project.key or "", label=_("To project")
             )
@@ -363,11 +352,11 @@ class RunsPage:
                 raise Refused("two runs are needed", 422, field="with", allowed="/runs?run=ID&with=ID")
             found: Any = await run.io_bound(catalogue.difference, self.service, *self.pair)
             rows = [self.service.store.job(job) for job in self.pair]
-            with self.result, card(_("Two runs")):
+            with self.result, parts.card(_("Two runs")):
                 names = self.names(rows)
                 for key, row, name in zip("ab", rows, names, strict=True):
                     ui.link(f"{key}: {name}", catalogue.page_of(row)).classes("mp-soft")
-                plot(difference_figure(found)).props('data-test="difference-plot"')
+                parts.plot(difference_figure(found)).props('data-test="difference-plot"')
                 pair_table(found["kpis"])
             self.keep_view()
             ui.run_javascript(f"document.getElementById('c{self.result.id}').scrollIntoView()")
@@ -389,7 +378,7 @@ def pair_table(kpis: list[dict[str, Any]]) -> None:
         first, second = (None if pair[key] is None else scale * pair[key] for key in ("first", "second"))
         change = None if first is None or second is None else second - first
         rows.append((_(words), *(number(value, digits) for value in (first, second, change))))
-    table((_("KPI"), "a", "b", "b − a"), rows, right=(1, 2, 3), name=_("KPIs of two runs"))
+    parts.table((_("KPI"), "a", "b", "b − a"), rows, right=(1, 2, 3), name=_("KPIs of two runs"))
 
 
 def install(service: Service) -> None:
@@ -397,7 +386,7 @@ def install(service: Service) -> None:
 
     @ui.page("/runs", title="Runs · metropilot")
     async def runs(request: Request) -> None:
-        with frame(request, "/runs"):
+        with parts.frame(request, "/runs"):
             page = RunsPage(service, dict(request.query_params))
             page.build()
         await ui.context.client.connected()
