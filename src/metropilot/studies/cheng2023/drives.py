@@ -66,11 +66,7 @@ class ComparedController:
 
 def pid_control(gains: Gains) -> Start:
     """PID with fixed gains."""
-
-    def control(memory: Errors, seen: Any) -> tuple[Any, Errors]:  # noqa: ANN401 (arrays)
-        return incremental_pid(seen.command, gains, seen.error_mps, memory)
-
-    return control, NO_ERRORS
+    return lambda memory, seen: incremental_pid(seen.command, gains, seen.error_mps, memory), NO_ERRORS
 
 
 def position_pid_control(gains: Gains, position_per_s: Any) -> Start:  # noqa: ANN401 (arrays)
@@ -90,11 +86,7 @@ def position_pid_control(gains: Gains, position_per_s: Any) -> Start:  # noqa: A
 
 def fed_pid_control(placed: PlacedGains) -> Start:
     """PID with fixed gains on speed and position error, beside feed-forward."""
-
-    def control(memory: Errors, seen: Any) -> tuple[Any, Errors]:  # noqa: ANN401 (arrays)
-        return step_fed_pid(placed, seen, memory)
-
-    return control, NO_ERRORS
+    return lambda memory, seen: step_fed_pid(placed, seen, memory), NO_ERRORS
 
 
 def fuzzy_control(gains: Gains, universes: Universes) -> Start:
@@ -108,20 +100,12 @@ def fuzzy_control(gains: Gains, universes: Universes) -> Start:
 
 def neural_control(gains: Gains, rates: LearningRates, seed: int) -> Start:
     """PID with gains from a network that learns online."""
-
-    def control(memory: Any, seen: Any) -> tuple[Any, Any]:  # noqa: ANN401 (arrays)
-        return step_neural_pid(memory, seen, rates)
-
-    return control, fresh_network(seed, gains)
+    return partial(step_neural_pid, rates=rates), fresh_network(seed, gains)
 
 
 def policy_control(law: TrackingLaw, policy: Callable[[Any], Any]) -> Start:
     """A law whose parameters a policy sets."""
-
-    def control(memory: Errors, seen: Any) -> tuple[Any, Errors]:  # noqa: ANN401 (arrays)
-        return law.drive(policy, seen, memory)
-
-    return control, NO_ERRORS
+    return lambda memory, seen: law.drive(policy, seen, memory), NO_ERRORS
 
 
 def controllers_to_compare(
