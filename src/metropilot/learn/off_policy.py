@@ -17,19 +17,8 @@ import jax.numpy as jnp
 from metropilot._typing import Array
 from metropilot.env import AbstractTask
 from metropilot.learn import environments as env
-from metropilot.learn import replay
+from metropilot.learn import learner, replay
 from metropilot.learn.config import AbstractReplayConfig
-from metropilot.learn.learner import (
-    AbstractLearner,
-    LearnerReport,
-    Moments,
-    ReturnScale,
-    moments_init,
-    moments_update,
-    return_scale_init,
-    return_scale_update,
-    reward_divisor,
-)
 from metropilot.learn.networks import MLP
 from metropilot.learn.schedules import value_at
 from metropilot.policy import Params, PolicySpec, normalise, only_policy
@@ -110,8 +99,8 @@ class ReplayState(NamedTuple):
     memory: Any
     window: Array
     noise: Array
-    observed: Moments
-    scale: ReturnScale
+    observed: learner.Moments
+    scale: learner.ReturnScale
     key: Array
 
 
@@ -129,7 +118,7 @@ def repeat(
     return carry, jax.tree.map(lambda x: x[None], out)
 
 
-class AbstractReplayLearner(AbstractLearner[ReplayConfig], Generic[ReplayConfig]):
+class AbstractReplayLearner(learner.AbstractLearner[ReplayConfig], Generic[ReplayConfig]):
     """A learner with a memory of transitions.
 
     Args:
@@ -210,8 +199,8 @@ class AbstractReplayLearner(AbstractLearner[ReplayConfig], Generic[ReplayConfig]
             make(config.buffer_size, self.layout.width),
             jnp.zeros((config.n_step, count, self.raw.width), jnp.float32),
             jnp.zeros((count, self.actions), jnp.float32),
-            moments_init(self.task.observation_size),
-            return_scale_init(count),
+            learner.moments_init(self.task.observation_size),
+            learner.return_scale_init(count),
             key,
         )
 
@@ -226,7 +215,7 @@ class AbstractReplayLearner(AbstractLearner[ReplayConfig], Generic[ReplayConfig]
         keys = jax.random.split(rest, max(1, times - config.n_step + 1))
         return jax.lax.scan(lambda s, k: (self._remember(s, at_random, k)[0], None), state, keys)[0]
 
-    def iterate(self, state: ReplayState, progress: Array) -> tuple[ReplayState, LearnerReport]:
+    def iterate(self, state: ReplayState, progress: Array) -> tuple[ReplayState, learner.LearnerReport]:
         """``collect`` steps of every environment, then ``updates`` gradient steps."""
         key, collect_key, learn_key = jax.random.split(state.key, 3)
         params = state.networks.params
@@ -242,7 +231,7 @@ class AbstractReplayLearner(AbstractLearner[ReplayConfig], Generic[ReplayConfig]
         )
         finished = jax.tree.map(lambda x: jnp.sum(x, axis=0), finished)
         state, losses = self._updates(state, learn_key, progress)
-        return state, LearnerReport(losses, finished)
+        return state, learner.LearnerReport(losses, finished)
 
     def policy(self, state: ReplayState) -> Params:
         """Policy network and statistics of observations."""
@@ -273,10 +262,12 @@ class AbstractReplayLearner(AbstractLearner[ReplayConfig], Generic[ReplayConfig]
         noise = jnp.where(done[:, None], 0.0, noise)
         state = state._replace(environments=environments, window=window, noise=noise)
         if self.config.normalise_observations:
-            state = state._replace(observed=moments_update(state.observed, step.observation))
+            state = state._replace(observed=learner.moments_update(state.observed, step.observation))
         if self.config.reward_scaling:
             reward = step.reward * self.config.reward_factor
-            state = state._replace(scale=return_scale_update(state.scale, reward, done, self.config.gamma))
+            state = state._replace(
+                scale=learner.return_scale_update(state.scale, reward, done, self.config.gamma)
+            )
         return state, step.finished
 
     def _remember(self, state: ReplayState, act: Explore, key: Array) -> tuple[ReplayState, env.Finished]:
@@ -310,7 +301,7 @@ class AbstractReplayLearner(AbstractLearner[ReplayConfig], Generic[ReplayConfig]
         statistics = self._statistics(state.observed)
         factor = jnp.float32(config.reward_factor)
         if config.reward_scaling:
-            factor = factor / reward_divisor(state.scale)
+            factor = factor / learner.reward_divisor(state.scale)
 
         def uniform(networks: Networks, step_key: Array) -> tuple[Networks, dict[str, Array]]:
             draw_key, net_key = jax.random.split(step_key)

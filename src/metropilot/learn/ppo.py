@@ -16,18 +16,8 @@ import jax.numpy as jnp
 from metropilot._typing import Array
 from metropilot.env import AbstractTask
 from metropilot.learn import environments as env
+from metropilot.learn import learner
 from metropilot.learn.config import PPOConfig
-from metropilot.learn.learner import (
-    AbstractLearner,
-    LearnerReport,
-    Moments,
-    ReturnScale,
-    moments_init,
-    moments_update,
-    return_scale_init,
-    return_scale_update,
-    reward_divisor,
-)
 from metropilot.learn.losses import ppo as losses
 from metropilot.learn.networks import (
     MLP,
@@ -61,8 +51,8 @@ class PPOState(NamedTuple):
     params: Params
     optimiser: AdamState
     environments: env.Environments
-    observed: Moments
-    scale: ReturnScale
+    observed: learner.Moments
+    scale: learner.ReturnScale
     key: Array
 
 
@@ -77,7 +67,7 @@ class Experience(NamedTuple):
 
 
 @final
-class PPO(AbstractLearner[PPOConfig]):
+class PPO(learner.AbstractLearner[PPOConfig]):
     """PPO on a task with continuous actions or choices.
 
     Args:
@@ -119,16 +109,18 @@ class PPO(AbstractLearner[PPOConfig]):
             log_std = jnp.log(jnp.float32(config.initial_std) - value_at(config.min_std, 0.0))
             params["policy.log_std"] = jnp.full((self.actions,), log_std)
         environments = env.reset_environments(self.task, env_key, config.environments)
-        observed = moments_init(self.task.observation_size)
-        scale = return_scale_init(config.environments)
+        observed = learner.moments_init(self.task.observation_size)
+        scale = learner.return_scale_init(config.environments)
         return PPOState(params, adam_init(params), environments, observed, scale, key)
 
-    def iterate(self, state: PPOState, progress: Array) -> tuple[PPOState, LearnerReport]:
+    def iterate(self, state: PPOState, progress: Array) -> tuple[PPOState, learner.LearnerReport]:
         """One rollout, then epochs over it."""
         config = self.config
         key, roll_key, learn_key = jax.random.split(state.key, 3)
         if config.normalise_observations:
-            state = state._replace(observed=moments_update(state.observed, state.environments.observation))
+            state = state._replace(
+                observed=learner.moments_update(state.observed, state.environments.observation)
+            )
         statistics = self._statistics(state.observed)
         environments, experience = self._roll(
             state.params | statistics, state.environments, roll_key, value_at(config.min_std, progress)
@@ -137,17 +129,19 @@ class PPO(AbstractLearner[PPOConfig]):
         reward, scale = experience.step.reward * config.reward_factor, state.scale
         if config.reward_scaling:
             scale = jax.lax.scan(
-                lambda s, x: (return_scale_update(s, x[0], x[1], config.gamma), None), scale, (reward, done)
+                lambda s, x: (learner.return_scale_update(s, x[0], x[1], config.gamma), None),
+                scale,
+                (reward, done),
             )[0]
-            reward = reward / reward_divisor(scale)
+            reward = reward / learner.reward_divisor(scale)
         rows, mask = self._rows(state.params | statistics, experience, reward)
         params, optimiser, report = self._epochs(state, statistics, rows, mask, learn_key, progress)
         observed = state.observed
         if config.normalise_observations:
             seen = jnp.reshape(experience.step.observation, (-1, self.task.observation_size))
-            observed = moments_update(observed, seen)
+            observed = learner.moments_update(observed, seen)
         finished = jax.tree.map(lambda x: jnp.sum(x, axis=0), experience.step.finished)
-        return PPOState(params, optimiser, environments, observed, scale, key), LearnerReport(
+        return PPOState(params, optimiser, environments, observed, scale, key), learner.LearnerReport(
             report, finished
         )
 

@@ -11,23 +11,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from zipfile import ZIP_DEFLATED, ZipFile
 
+from metropilot import railway
 from metropilot._provenance import provenance
 from metropilot.drivers import DRIVERS
 from metropilot.errors import InputError
 from metropilot.evaluate import difference_of, option_defaults
-from metropilot.railway import (
-    Line,
-    Trainset,
-    list_days,
-    list_feedings,
-    list_lines,
-    list_trainsets,
-    load_day,
-    load_feeding,
-    load_line,
-    load_trainset,
-    parse_trainset,
-)
 from metropilot.sim import Trajectory
 from metropilot.web.errors import Refused
 from metropilot.web.kinds import JOB_KINDS, LIVE, live_kind
@@ -42,7 +30,7 @@ if TYPE_CHECKING:
 
 def line_rows(service: Service) -> list[dict[str, Any]]:
     """Every line, those of the catalogue first."""
-    return _rows(service, "line", list_lines(), load_line, _line_row)
+    return _rows(service, "line", railway.list_lines(), railway.load_line, _line_row)
 
 
 def _rows(
@@ -61,22 +49,22 @@ def _rows(
     return rows
 
 
-def _line_row(line: Line, key: str, *, uploaded: bool) -> dict[str, Any]:
+def _line_row(line: railway.Line, key: str, *, uploaded: bool) -> dict[str, Any]:
     length = line.stations[-1].position_m - line.stations[0].position_m
     row = {"id": key, "name": line.name, "stations": len(line.stations), "length_m": length}
     return {**row, "uploaded": uploaded}
 
 
-def line(service: Service, key: str) -> Line:
+def line(service: Service, key: str) -> railway.Line:
     """A line by id.
 
     Raises:
         Refused: No such line (404).
     """
     path = service.paths("line").get(key)
-    if path is None and key not in list_lines():
+    if path is None and key not in railway.list_lines():
         raise Refused("no such line", 404, field="line", value=key)
-    return load_line(path or key)
+    return railway.load_line(path or key)
 
 
 def line_out(service: Service, key: str) -> dict[str, Any]:
@@ -84,7 +72,7 @@ def line_out(service: Service, key: str) -> dict[str, Any]:
     return line_values(line(service, key), key)
 
 
-def line_values(found: Line, key: str) -> dict[str, Any]:
+def line_values(found: railway.Line, key: str) -> dict[str, Any]:
     """Plain values of a line.
 
     Args:
@@ -104,7 +92,7 @@ def line_values(found: Line, key: str) -> dict[str, Any]:
         for f, b in zip(forward, backward, strict=True)
     ]
     return {
-        **_line_row(found, key, uploaded=key not in list_lines()),
+        **_line_row(found, key, uploaded=key not in railway.list_lines()),
         "stops": [station(s) for s in found.stations],
         "sections": sections,
         "dwell_s": list(found.dwell_s),
@@ -118,20 +106,20 @@ def line_values(found: Line, key: str) -> dict[str, Any]:
 
 def trainset_rows(service: Service) -> list[dict[str, Any]]:
     """Every trainset, those of the catalogue first."""
-    return _rows(service, "trainset", list_trainsets(), load_trainset, _trainset_out)
+    return _rows(service, "trainset", railway.list_trainsets(), railway.load_trainset, _trainset_out)
 
 
-def trainset(service: Service, key: str) -> Trainset:
+def trainset(service: Service, key: str) -> railway.Trainset:
     """A trainset by id, or by ``ID@DELAY,LAG``; ``drawn-SEED-NUMBER`` is a random one.
 
     Raises:
         Refused: No such trainset (404).
     """
     path = service.path("trainset", key)
-    named = parse_trainset(path)
+    named = railway.parse_trainset(path)
     if not (named.is_named or named.id in service.paths("trainset").values()):
         raise Refused("no such trainset", 404, field="trainset", value=key)
-    return load_trainset(path)
+    return railway.load_trainset(path)
 
 
 def trainset_out(service: Service, key: str) -> dict[str, Any]:
@@ -145,7 +133,7 @@ def trainset_out(service: Service, key: str) -> dict[str, Any]:
     )
 
 
-def _trainset_out(found: Trainset, key: str, *, uploaded: bool) -> dict[str, Any]:
+def _trainset_out(found: railway.Trainset, key: str, *, uploaded: bool) -> dict[str, Any]:
     return {
         "id": key,
         "name": found.name,
@@ -161,7 +149,7 @@ def _trainset_out(found: Trainset, key: str, *, uploaded: bool) -> dict[str, Any
 
 def day_rows() -> list[dict[str, Any]]:
     """Every working day."""
-    days = [load_day(key) for key in list_days()]
+    days = [railway.load_day(key) for key in railway.list_days()]
     return [
         {
             "id": day.id,
@@ -179,7 +167,7 @@ def feeding_rows(service: Service) -> list[dict[str, Any]]:
     keys = [row["id"] for row in line_rows(service)]
     lines = {key: line(service, key) for key in keys}
     rows = []
-    for feeding in map(load_feeding, list_feedings()):
+    for feeding in map(railway.load_feeding, railway.list_feedings()):
         fed = []
         for key, each in lines.items():
             with suppress(InputError):

@@ -23,6 +23,7 @@ import numpy as np
 from numpy import ndarray
 from numpy.random import Generator
 
+from metropilot import env, sim
 from metropilot._typing import Array, Flag, Float, Index, Int, Scalar, Shaped
 from metropilot.control import (
     AT_ONCE_MPS3,
@@ -31,31 +32,11 @@ from metropilot.control import (
     build_up,
     curve_for,
 )
-from metropilot.env import (
-    Assists,
-    RegimeAction,
-    SectionRows,
-    SectionTables,
-    apply_assists,
-    feature_context,
-    near_track,
-    observe,
-    stop_options,
-)
 from metropilot.learn.config import TeacherConfig
 from metropilot.learn.imitation.demonstrations import Demonstrations
 from metropilot.learn.imitation.train_state import TrainState, apply_gradient, imitation_loss, labels
 from metropilot.physics import Command, at_rest, to_jax
 from metropilot.policy import Params, PolicySpec, network_output
-from metropilot.sim import (
-    NEVER_ENDS,
-    RUNNING,
-    RunParams,
-    RunState,
-    control_period,
-    first_state,
-    true_vehicle,
-)
 
 Decide = Callable[[Params, Float[Array, " features"]], Float[Array, "1"]]
 """From parameters and an observation to an action."""
@@ -112,7 +93,7 @@ class ClosedLoopRollout(NamedTuple):
 class _Moving(NamedTuple):
     """State of a drive that has not begun its station stop. All 0-d but the pipeline of the plant."""
 
-    run: RunState
+    run: sim.RunState
     energy_j: Scalar
     arrival_s: Scalar
     done: Flag
@@ -180,10 +161,10 @@ class ClosedLoop:
         period_s: Time between two decisions.
     """
 
-    rows: SectionRows
+    rows: env.SectionRows
     features: tuple[str, ...]
-    action: RegimeAction
-    assists: Assists
+    action: env.RegimeAction
+    assists: env.Assists
     period_s: float
 
     def drive(
@@ -201,7 +182,7 @@ class ClosedLoop:
         zero, case = jnp.zeros((), jnp.float32), self.rows.case(begin.case)
         plant = to_jax(at_rest(self.rows.tables.vehicle))
         plant = plant._replace(position_m=begin.position_m, speed_mps=begin.speed_mps, time_s=begin.time_s)
-        run = first_state(plant, None)._replace(outcome=jnp.full((), RUNNING, jnp.int32))
+        run = sim.first_state(plant, None)._replace(outcome=jnp.full((), sim.RUNNING, jnp.int32))
         moving = _Moving(run, zero, zero, jnp.zeros((), bool))
 
         @jax.checkpoint
@@ -216,14 +197,14 @@ class ClosedLoop:
         return ClosedLoopRollout(last.energy_j, last.arrival_s - begin.arrival_s, last.done)
 
     def _step(
-        self, decide: Decide, params: Params, begin: Begin, case: SectionTables, now: _Moving
+        self, decide: Decide, params: Params, begin: Begin, case: env.SectionTables, now: _Moving
     ) -> _Moving:
         """One control period as long as a decision, on the plant itself, under the ceiling of the assists."""
         dt, vehicle, plant = self.period_s, case.vehicle, now.run.plant
         # limited to what is needed, an action would have no slope, and nothing be learned from it
         free = replace(self.action, needed=False)
         at = plant.position_m
-        context = feature_context(
+        context = env.feature_context(
             self.rows,
             begin.case,
             case,
@@ -237,20 +218,22 @@ class ClosedLoop:
             assists=self.assists,
         )
 
-        def choose(_: None, __: RunState) -> tuple[Command, None]:
-            action = decide(params, observe(self.features, context))
+        def choose(_: None, __: sim.RunState) -> tuple[Command, None]:
+            action = decide(params, env.observe(self.features, context))
             soft = jnp.clip(action[0], -1.0, 1.0)
             command = free.command(context, action, dt) + LEAK * (soft - jax.lax.stop_gradient(soft))
             # the station stop is counted in closed form below
             under = replace(self.assists, stop=False)
-            command, _ = apply_assists(under, context, jnp.clip(command, -1.0, 1.0), jnp.zeros((), bool), dt)
+            command, _ = env.apply_assists(
+                under, context, jnp.clip(command, -1.0, 1.0), jnp.zeros((), bool), dt
+            )
             return Command(command, jnp.zeros((), bool)), None
 
-        params_of_run = RunParams(
-            vehicle=true_vehicle(
+        params_of_run = sim.RunParams(
+            vehicle=sim.true_vehicle(
                 vehicle, mass_factor=begin.mass_factor, resistance_factor=begin.resistance_factor
             ),
-            track=near_track(case.track, vehicle, at),
+            track=env.near_track(case.track, vehicle, at),
             protection=None,
             length_m=case.length_m,
             scheduled_s=begin.scheduled_s,
@@ -258,10 +241,10 @@ class ClosedLoop:
             dt=jnp.float32(dt),
         )
         fresh = now.run._replace(plant=plant._replace(traction_j=jnp.zeros_like(plant.traction_j)))
-        run, _, _ = control_period(params_of_run, fresh, None, choose, rule=NEVER_ENDS)
+        run, _, _ = sim.control_period(params_of_run, fresh, None, choose, rule=sim.NEVER_ENDS)
         reached = run.plant._replace(speed_mps=jnp.maximum(run.plant.speed_mps, SLOWEST_MPS))
         planned = self._stop_deceleration(begin, case, reached.position_m)
-        curve = curve_for(vehicle, dt, planned, stop_options(self.assists.release))
+        curve = curve_for(vehicle, dt, planned, env.stop_options(self.assists.release))
         v, jerk = reached.speed_mps, jnp.minimum(vehicle.jerk_mps3, AT_ONCE_MPS3)
         quick, gone_m, build_s = build_up(v, reached.acceleration_mps2, planned, jerk)
         quick = jnp.maximum(quick, LEAST_STOP_MPS)
@@ -275,7 +258,7 @@ class ClosedLoop:
             done=left <= distance,
         )
 
-    def _stop_deceleration(self, begin: Begin, case: SectionTables, position_m: Array) -> Array:
+    def _stop_deceleration(self, begin: Begin, case: env.SectionTables, position_m: Array) -> Array:
         """Deceleration the station stop is planned with from a position, m/s^2."""
         return self.assists.planned_mps2(self.rows, begin.case, case.stop_mps2, position_m)
 

@@ -12,26 +12,15 @@ import numpy as np
 from numpy import ndarray
 from numpy.random import Generator
 
+from metropilot import env
 from metropilot._tensors import read_tensors, write_tensors
 from metropilot._typing import Float, Int
-from metropilot.env import (
-    DOMAIN_ASSISTS,
-    DOMAIN_OBSERVER,
-    FEATURES,
-    OBSERVERS,
-    PERMITTED_COLUMN,
-    DomainSample,
-    FeatureContext,
-    SectionRows,
-    build_tables,
-    domain_sample,
-)
 from metropilot.errors import InputError, MetropilotError
 from metropilot.physics import effort_at
 from metropilot.planning import Plan, PlanOptions, plan_arrays
 from metropilot.sim import Run, declared_bounds
 
-FEATURE_NAMES = OBSERVERS[DOMAIN_OBSERVER]
+FEATURE_NAMES = env.OBSERVERS[env.DOMAIN_OBSERVER]
 SPACING_M = 4.0
 WINDOW_M = 10.0
 LATE_W = 500.0
@@ -69,24 +58,24 @@ class DemonstrationGenerator:
         scheduled_ratio: Scheduled time over the minimum.
     """
 
-    def __init__(self, sample: DomainSample, scheduled_ratio: float) -> None:
+    def __init__(self, sample: env.DomainSample, scheduled_ratio: float) -> None:
         run = Run(sample.section, sample.trainset, scheduled_time_s=1.0)
-        tables = build_tables(
+        tables = env.build_tables(
             [(sample.section, sample.trainset, declared_bounds(run))], SPACING_M, np.float64
         )
-        self.rows = SectionRows(tables, jax=False)
+        self.rows = env.SectionRows(tables, jax=False)
         self.case = self.rows.case(0)
         self.length_m = float(self.case.length_m)
         self.scheduled_s = scheduled_ratio * float(self.case.minimum_s)
         self._at = np.arange(0.0, self.length_m + SPACING_M, SPACING_M)
-        cap = self.rows.curve_at(PERMITTED_COLUMN, 0, self._at) - BELOW_PERMITTED_MPS
+        cap = self.rows.curve_at(env.PERMITTED_COLUMN, 0, self._at) - BELOW_PERMITTED_MPS
         self._cap = np.maximum(cap, 0.5)
 
     def most_mps(self, position_m: float) -> float:
         """Largest permitted speed at a position from which the station-stop braking still stops."""
-        permitted = float(self.rows.curve_at(PERMITTED_COLUMN, 0, np.array(position_m)))
+        permitted = float(self.rows.curve_at(env.PERMITTED_COLUMN, 0, np.array(position_m)))
         work, _ = self.rows.stop_at(0, np.array(position_m))
-        stops = float(np.sqrt(2.0 * SAFE_SHARE * DOMAIN_ASSISTS.stop_use * max(float(work), 0.0)))
+        stops = float(np.sqrt(2.0 * SAFE_SHARE * env.DOMAIN_ASSISTS.stop_use * max(float(work), 0.0)))
         return max(min(permitted - BELOW_PERMITTED_MPS - 0.05, stops), SLOWEST_MPS)
 
     def plan(self, left_s: float, start_m: float = 0.0, start_mps: float = 0.0) -> Plan:
@@ -103,7 +92,7 @@ class DemonstrationGenerator:
             late_w=LATE_W,
             cap_m=self._at,
             cap_mps=self._cap,
-            deceleration_mps2=DOMAIN_ASSISTS.stop_use * float(self.case.vehicle.max_deceleration_mps2),
+            deceleration_mps2=env.DOMAIN_ASSISTS.stop_use * float(self.case.vehicle.max_deceleration_mps2),
         )
         return plan_arrays(self.case.vehicle, self.case.track, left_s, options)
 
@@ -118,7 +107,7 @@ class DemonstrationGenerator:
         values = [
             np.broadcast_to(v, position_m.shape)
             for name in FEATURE_NAMES
-            for v in FEATURES.get(name)(context)
+            for v in env.FEATURES.get(name)(context)
         ]
         return np.stack(values, axis=1).astype(np.float32)
 
@@ -126,23 +115,23 @@ class DemonstrationGenerator:
         """Feature that each number of an observation belongs to."""
         start = np.zeros(1)
         context = self._context(start, start, start)
-        return [name for name in FEATURE_NAMES for _ in FEATURES.get(name)(context)]
+        return [name for name in FEATURE_NAMES for _ in env.FEATURES.get(name)(context)]
 
     def _context(
         self,
         time_s: Float[ndarray, " states"],
         position_m: Float[ndarray, " states"],
         speed_mps: Float[ndarray, " states"],
-    ) -> FeatureContext:
+    ) -> env.FeatureContext:
         case, nothing = self.case, np.zeros_like(position_m)
-        return FeatureContext(
+        return env.FeatureContext(
             rows=self.rows,
             case=0,
             vehicle=case.vehicle,
             track=case.track,
             length_m=case.length_m,
             load=case.load,
-            stop_mps2=DOMAIN_ASSISTS.planned_mps2(self.rows, 0, case.stop_mps2, position_m),
+            stop_mps2=env.DOMAIN_ASSISTS.planned_mps2(self.rows, 0, case.stop_mps2, position_m),
             rates=case.protection.rates,
             time_s=time_s,
             position_m=position_m,
@@ -150,7 +139,7 @@ class DemonstrationGenerator:
             acceleration_mps2=nothing,
             scheduled_s=np.full_like(position_m, self.scheduled_s),
             command=nothing,
-            assists=DOMAIN_ASSISTS,
+            assists=env.DOMAIN_ASSISTS,
         )
 
     def commands(self, plan: Plan, position_m: Float[ndarray, " states"]) -> Float[ndarray, " states"]:
@@ -199,7 +188,7 @@ class DemonstrationGenerator:
 
 
 def collect_demonstrations(
-    sample: DomainSample, random: Generator, plans: int, states: int
+    sample: env.DomainSample, random: Generator, plans: int, states: int
 ) -> Demonstrations:
     """Collect demonstrations along the optimal plan of a section, and along plans from states beside it.
 
@@ -305,7 +294,7 @@ def collect_shard(dataset: DemonstrationSet, shard: int) -> None:
     for number in range(shard * SHARD, min((shard + 1) * SHARD, dataset.worlds)):
         random = np.random.default_rng([dataset.seed, number + ATTEMPT])
         try:
-            sample = domain_sample(dataset.seed, number, dataset.wide_share)
+            sample = env.domain_sample(dataset.seed, number, dataset.wide_share)
             demonstrations = collect_demonstrations(sample, random, dataset.plans, dataset.states)
         except MetropilotError:
             continue  # a section that cannot be driven: too steep for its trainset

@@ -12,19 +12,7 @@ from numpy import ndarray
 
 from metropilot._typing import Array, Float
 from metropilot.env import episode_of, starts
-from metropilot.studies.chen2023a.setting import (
-    ACTION,
-    COMFORT,
-    CONVERGED,
-    CONVERGED_AT,
-    DECISION_S,
-    ENERGY_ORDER,
-    IMPACT_ORDER,
-    PRESCRIBED_S,
-    THRESHOLD_S,
-    longest_decisions,
-    make_assisted,
-)
+from metropilot.studies.chen2023a import setting
 from metropilot.studies.learning import SeedResult, drive_to_end
 from metropilot.studies.report import ReportRow, make_row
 from metropilot.units import J_PER_KWH
@@ -69,12 +57,12 @@ class DriveCourse:
 def course(result: SeedResult) -> DriveCourse:
     """Extract the measures of one run from its history."""
     history = result.history
-    seconds = history["length"] * DECISION_S
+    seconds = history["length"] * setting.DECISION_S
     learning = {
         "return": history["return"],
         "running_time_s": seconds,
         "energy_kwh": -history["term.energy"],
-        "impact_mps3": -history["term.comfort"] / COMFORT / seconds,
+        "impact_mps3": -history["term.comfort"] / setting.COMFORT / seconds,
     }
     names = ("running_time_s", "energy_kwh", "impact_mps3", "stopping_error_m", "arrived")
     driving = {name: history[f"evaluation.{name}"] for name in names}
@@ -94,7 +82,7 @@ def find_convergence(episodes: Values, running_time_s: Values, returned: Values)
         returned: Return of each chunk.
     """
     final = float(np.nanmedian(returned[-last_chunks(len(returned)) :]))
-    good = (running_time_s <= THRESHOLD_S) & (np.abs(returned - final) <= CLOSE * abs(final))
+    good = (running_time_s <= setting.THRESHOLD_S) & (np.abs(returned - final) <= CLOSE * abs(final))
     later = np.cumsum(good[::-1])[::-1] / np.arange(len(good), 0, -1)
     holds = good & (later >= KEPT)
     if not good[-last_chunks(len(good)) :].mean() >= KEPT or not holds.any():
@@ -172,10 +160,10 @@ def reward_rows(courses: Courses) -> Iterator[ReportRow]:
     for case, kind in KINDS:
         for name, mine in courses.items():
             at = find_convergences(mine, kind)
-            said = CONVERGED[name] if case == LEARNING else None
+            said = setting.CONVERGED[name] if case == LEARNING else None
             share = float(np.mean([a is not None for a in at]))
             yield make_row(REWARD, case, name, SHARE, "", [share], said)
-            when = CONVERGED_AT.get(name) if case == LEARNING else None
+            when = setting.CONVERGED_AT.get(name) if case == LEARNING else None
             row = ReportRow(REWARD, case, name, EPISODES_KPI, "episodes", when)
             yield row.with_values(there) if (there := [a for a in at if a is not None]) else row
             returns = [final(getattr(one, kind)["return"]) for one in mine]
@@ -193,15 +181,15 @@ def rule_rows(least: Bound) -> Iterator[ReportRow]:
     import jax
     import jax.numpy as jnp
 
-    task = make_assisted()
-    begin = task.begin(jax.tree.map(lambda x: x[0], starts([0], [PRESCRIBED_S])))
-    decisions, key = longest_decisions(task), jax.random.key(0)
+    task = setting.make_assisted()
+    begin = task.begin(jax.tree.map(lambda x: x[0], starts([0], [setting.PRESCRIBED_S])))
+    decisions, key = setting.longest_decisions(task), jax.random.key(0)
 
     def run(rule: tuple[Array, Array]) -> tuple[Array, Array, Array]:
         command, place_km = rule
 
         def decide(observation: Array, _: Array) -> Array:
-            asked = ACTION.coast + (ACTION.full - ACTION.coast) * command
+            asked = setting.ACTION.coast + (setting.ACTION.full - setting.ACTION.coast) * command
             return jnp.where(observation[0] < place_km, asked, 0.0)[None]
 
         state, returned = drive_to_end(task, decide, begin, key, decisions)
@@ -255,8 +243,8 @@ def time_rows(courses: Courses) -> Iterator[ReportRow]:
             after = min(AFTER, *(0.5 * float(one.episodes[-1]) for one in mine))
             late = [one.episodes > after for one in mine]
             later = [getattr(one, kind)["running_time_s"][k] for one, k in zip(mine, late, strict=True)]
-            shares = [float(np.mean(times <= THRESHOLD_S)) for times in later]
-            words = f"share of chunks after {after:.0f} episodes within {THRESHOLD_S:g} s"
+            shares = [float(np.mean(times <= setting.THRESHOLD_S)) for times in later]
+            words = f"share of chunks after {after:.0f} episodes within {setting.THRESHOLD_S:g} s"
             yield make_row(TIME, case, name, words, "", shares)
 
 
@@ -291,7 +279,7 @@ def impact_rows(courses: Courses) -> Iterator[ReportRow]:
 
 def order_rows(courses: Courses) -> Iterator[ReportRow]:
     """Place of each learner's median: 1 uses most energy, or has the highest impact rate."""
-    for kpi, order in (("energy_kwh", ENERGY_ORDER), ("impact_mps3", IMPACT_ORDER)):
+    for kpi, order in (("energy_kwh", setting.ENERGY_ORDER), ("impact_mps3", setting.IMPACT_ORDER)):
         for case, kind in KINDS:
             size = {
                 name: float(np.median([final(getattr(one, kind)[kpi]) for one in mine]))

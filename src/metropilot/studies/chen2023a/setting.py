@@ -11,19 +11,7 @@ from functools import partial
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
-from metropilot.env import (
-    Assists,
-    Comfort,
-    DisturbanceDistribution,
-    DrivingConfig,
-    DrivingTask,
-    Energy,
-    Failure,
-    OnTime,
-    RegimeAction,
-    episode_of,
-    starts,
-)
+from metropilot import env
 from metropilot.errors import InputError
 from metropilot.railway import load_line, load_trainset
 from metropilot.sim import CODES, Outcome, OutcomeRule
@@ -61,58 +49,58 @@ IN_HAND_S = 0.5
 SOFT_S = 4.0
 """Time over which the bonus of a late run turns into its negative."""
 REWARDS = (
-    Energy(),
-    Comfort(weight=0.1),
-    OnTime(bonus=100.0, allowed_s=ALLOWED_S - IN_HAND_S, soft_s=SOFT_S),
-    Failure(price=100.0, per_m=0.1),
+    env.Energy(),
+    env.Comfort(weight=0.1),
+    env.OnTime(bonus=100.0, allowed_s=ALLOWED_S - IN_HAND_S, soft_s=SOFT_S),
+    env.Failure(price=100.0, per_m=0.1),
 )
 """Chen23a eqs. 16 and 17 with two changes. The bonus of a late run falls evenly, not at once, and from half a
 second before the time allowed: the least energy is just within what is allowed, and noise of exploration
 crosses a sharp edge. The last term is added:
 the paper's train always arrives, at worst late; without it standing still would have the largest return of
 all late runs."""
-ACTION = RegimeAction()
+ACTION = env.RegimeAction()
 DECISION_S = 1.0
 COMFORT = 0.1
 UNASSISTED_TOLERANCE_M = 5.0
 
 
-def task_config() -> DrivingConfig:
+def task_config() -> env.DrivingConfig:
     """The task ``chen2023a``."""
-    return DrivingConfig(
+    return env.DrivingConfig(
         sections=(load_line("yizhuang").section("YZQ", "WHY"),),
         trainsets=(load_trainset("cheng2023"),),
-        scenarios=DisturbanceDistribution(time_s=(80.0, 80.0)),
+        scenarios=env.DisturbanceDistribution(time_s=(80.0, 80.0)),
         observer="position_speed",
         action=ACTION,
         rewards=REWARDS,
-        assists=Assists(late=True),
+        assists=env.Assists(late=True),
         periods=2,
     )
 
 
-def make_assisted() -> DrivingTask:
+def make_assisted() -> env.DrivingTask:
     """The study's task: position and speed in, share of the available force out, rewards of eqs. 16 and 17.
 
     Around an action of zero the trainset coasts. Assists do the station-stop braking and keep the speed
     limit; see the deviations.
     """
-    return DrivingTask(task_config())
+    return env.DrivingTask(task_config())
 
 
-def make_unassisted() -> DrivingTask:
+def make_unassisted() -> env.DrivingTask:
     """The same task without the stop assist; the policy must stop by itself within 5 m of the stop point."""
     rule = OutcomeRule(tolerance_m=UNASSISTED_TOLERANCE_M)
-    return DrivingTask(replace(task_config(), assists=Assists(stop=False), outcomes=rule))
+    return env.DrivingTask(replace(task_config(), assists=env.Assists(stop=False), outcomes=rule))
 
 
-def longest_s(task: DrivingTask) -> float:
+def longest_s(task: env.DrivingTask) -> float:
     """Time after which an episode ends."""
     rule = task.config.outcomes
     return rule.late_ratio * PRESCRIBED_S + rule.late_s
 
 
-def longest_decisions(task: DrivingTask) -> int:
+def longest_decisions(task: env.DrivingTask) -> int:
     """Number of decisions that is enough for any episode."""
     return int(longest_s(task) / DECISION_S) + 2
 
@@ -141,16 +129,16 @@ def make_evaluation(
     from metropilot.learn import make_learner
     from metropilot.policy import act
 
-    if not isinstance(task, DrivingTask):
+    if not isinstance(task, env.DrivingTask):
         raise InputError("not a driving task", field="task", value=type(task).__name__)
 
     spec = make_learner(config, task).spec
-    start = jax.tree.map(lambda x: x[0], starts([0], [PRESCRIBED_S]))
+    start = jax.tree.map(lambda x: x[0], env.starts([0], [PRESCRIBED_S]))
     longest, decisions = longest_s(task), longest_decisions(task)
 
     def evaluate(params: Params, key: Array) -> dict[str, Array]:
         state, returned = drive_to_end(task, partial(act, spec, params), task.begin(start), key, decisions)
-        run = episode_of(task, state)
+        run = env.episode_of(task, state)
         arrived = run.outcome == CODES.index(end)
         return {
             "score": returned,

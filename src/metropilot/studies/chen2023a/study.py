@@ -8,26 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from metropilot.studies.chen2023a import drives
 from metropilot.studies.chen2023a.as_printed import AS_PRINTED
-from metropilot.studies.chen2023a.drives import (
-    ABOVE,
-    COAST,
-    CONSTANT,
-    DRIVING,
-    EPISODES_KPI,
-    HIGHEST_IMPACT,
-    LEARNING,
-    MOST_ENERGY,
-    SHARE,
-    LeastEnergy,
-    arriving,
-    course,
-    final,
-    find_convergences,
-    outcome_rows,
-    paper_rows,
-    rule_rows,
-)
 from metropilot.studies.chen2023a.figures import figures
 from metropilot.studies.chen2023a.learning import (
     BEYOND,
@@ -66,29 +48,29 @@ if TYPE_CHECKING:
     from metropilot.studies.study import Order
 
 CLAIMS = (
-    Claim("plain PPO does not converge", "ppo", SHARE, LEARNING, "same"),
-    Claim("PPO with reward scaling converges", "ppo_scaled", SHARE, LEARNING, "high"),
-    Claim("the same, around episode 3,000", "ppo_scaled", EPISODES_KPI, LEARNING),
-    Claim("DDPG converges", "ddpg", SHARE, LEARNING, "high"),
-    Claim("the same, around episode 3,000", "ddpg", EPISODES_KPI, LEARNING),
-    Claim("DDPG needs most energy", "ddpg", MOST_ENERGY, LEARNING, "same"),
-    Claim("plain PPO, late, needs least energy", "ppo", MOST_ENERGY, LEARNING, "same"),
-    Claim("DDPG has the highest impact rate", "ddpg", HIGHEST_IMPACT, LEARNING, "same"),
+    Claim("plain PPO does not converge", "ppo", drives.SHARE, drives.LEARNING, "same"),
+    Claim("PPO with reward scaling converges", "ppo_scaled", drives.SHARE, drives.LEARNING, "high"),
+    Claim("the same, around episode 3,000", "ppo_scaled", drives.EPISODES_KPI, drives.LEARNING),
+    Claim("DDPG converges", "ddpg", drives.SHARE, drives.LEARNING, "high"),
+    Claim("the same, around episode 3,000", "ddpg", drives.EPISODES_KPI, drives.LEARNING),
+    Claim("DDPG needs most energy", "ddpg", drives.MOST_ENERGY, drives.LEARNING, "same"),
+    Claim("plain PPO, late, needs least energy", "ppo", drives.MOST_ENERGY, drives.LEARNING, "same"),
+    Claim("DDPG has the highest impact rate", "ddpg", drives.HIGHEST_IMPACT, drives.LEARNING, "same"),
     Claim(
         "PPO with reward scaling drives best (return of the policy)",
         "ppo_scaled",
         "final return",
-        DRIVING,
+        drives.DRIVING,
         "high",
-        (CONSTANT, COAST),
+        (drives.CONSTANT, drives.COAST),
     ),
     Claim(
         "the same, least energy in its running time",
         "ppo_scaled",
-        ABOVE,
-        DRIVING,
+        drives.ABOVE,
+        drives.DRIVING,
         "low",
-        (CONSTANT, COAST),
+        (drives.CONSTANT, drives.COAST),
     ),
 )
 
@@ -161,10 +143,10 @@ def remarks(learned: Courses, changed: Courses) -> list[str]:
 
 
 def _convergence_remark(name: str, mine: Sequence[DriveCourse]) -> str:
-    at = [a for a in find_convergences(mine, "learning") if a is not None]
+    at = [a for a in drives.find_convergences(mine, "learning") if a is not None]
     said = f"around episode {CONVERGED_AT[name]:,.0f}" if name in CONVERGED_AT else f"not by {PPO_EPISODES:,}"
     when = f"; median {np.median(at):,.0f} episodes" if at else ""
-    times = [final(one.driving["running_time_s"]) for one in mine]
+    times = [drives.final(one.driving["running_time_s"]) for one in mine]
     return (
         f"{NAMES[name]}: {len(at)} of {len(mine)} seeds converged by the rule below{when} "
         f"(the paper: {said}). The policy itself runs {np.median(times):.1f} s at the end "
@@ -178,15 +160,15 @@ def _lags(learned: Courses) -> str:
     for name in ("ppo", "ppo_scaled"):
         mine = learned[name]
         share[name] = [
-            float(np.mean([at is not None for at in find_convergences(mine, kind)])) for kind in KINDS
+            float(np.mean([at is not None for at in drives.find_convergences(mine, kind)])) for kind in KINDS
         ]
-        late[name] = float(np.median([final(one.driving["running_time_s"]) for one in mine]))
+        late[name] = float(np.median([drives.final(one.driving["running_time_s"]) for one in mine]))
     numbers = ", ".join(
         f"{NAMES[name]} converges on {100 * share[name][0]:.0f} % of the seeds with exploration and on "
         f"{100 * share[name][1]:.0f} % without, and its median policy ends at {late[name]:.1f} s"
         for name in share
     )
-    returns = {name: [final(one.driving["return"]) for one in learned[name]] for name in share}
+    returns = {name: [drives.final(one.driving["return"]) for one in learned[name]] for name in share}
     medians = ", ".join(f"{NAMES[name]} {np.median(values):.2f}" for name, values in returns.items())
     chance = difference_p(returns["ppo_scaled"], returns["ppo"])
     told = "too few seeds for a test" if chance is None else f"Mann-Whitney p = {chance:.2g}"
@@ -201,8 +183,10 @@ def _lags(learned: Courses) -> str:
 
 
 def _order(learned: Courses) -> str:
-    there = {name: arrived for name, mine in learned.items() if (arrived := arriving(mine))}
-    energy = {n: float(np.median([final(o.driving["energy_kwh"]) for o in m])) for n, m in there.items()}
+    there = {name: arrived for name, mine in learned.items() if (arrived := drives.arriving(mine))}
+    energy = {
+        n: float(np.median([drives.final(o.driving["energy_kwh"]) for o in m])) for n, m in there.items()
+    }
     order = sorted(energy, key=lambda name: -energy[name])
     words = ", ".join(f"{NAMES[name]} {energy[name]:.1f} kWh" for name in order) or "none arrives"
     return (
@@ -217,7 +201,7 @@ def _ablation(changed: Courses) -> str:
         if name.endswith(", plain"):
             what = name.removesuffix(", plain")
             plain, scaled = (
-                np.median([final(o.driving["return"]) for o in changed[f"{what}, {kind}"]])
+                np.median([drives.final(o.driving["return"]) for o in changed[f"{what}, {kind}"]])
                 for kind in ("plain", "scaled")
             )
             parts.append(f"{what}: {plain:.0f} plain, {scaled:.0f} scaled")
@@ -268,17 +252,17 @@ def reproduce(order: Order) -> StudyReport:
     seeds = order.choose_seeds(quick=size.seeds, paper=size.seeds)
     learned = _courses(order, LEARNERS, (size.episodes, size.chunks), seeds)
     least, bounds = _optimum()
-    rows = paper_rows(learned, least)
+    rows = drives.paper_rows(learned, least)
     changed: Mapping[str, Sequence[DriveCourse]] = {}
     if size.more_episodes:
         few, short = range(min(len(seeds), size.more_seeds)), (size.more_episodes, size.chunks // 2)
         changed = _courses(order, ablations(), short, few, prefix="ablation-")
-        rows += outcome_rows(ABLATION, changed, least)
+        rows += drives.outcome_rows(ABLATION, changed, least)
         alone = _courses(order, LEARNERS, short, few, assisted=False, prefix="unassisted-")
-        rows += outcome_rows(UNASSISTED, alone, least)
+        rows += drives.outcome_rows(UNASSISTED, alone, least)
         beyond = _courses(order, BEYOND, (size.episodes, size.chunks), seeds)
-        rows += outcome_rows(TWINS, {"ddpg": learned["ddpg"], **beyond}, least)
-    rows += [*bounds, *rule_rows(least)]
+        rows += drives.outcome_rows(TWINS, {"ddpg": learned["ddpg"], **beyond}, least)
+    rows += [*bounds, *drives.rule_rows(least)]
     drawn = figures(learned, least(THRESHOLD_S) or 0.0)
     said = remarks(learned, changed)
     return StudyReport(len(seeds), rows, drawn, DEVIATIONS, said, CLAIMS)
@@ -287,7 +271,7 @@ def reproduce(order: Order) -> StudyReport:
 def fixed_rows() -> list[ReportRow]:
     """Rows of the plans and of the rules, which neither learn nor draw."""
     least, bounds = _optimum()
-    return [*bounds, *rule_rows(least)]
+    return [*bounds, *drives.rule_rows(least)]
 
 
 def _courses(
@@ -304,15 +288,18 @@ def _courses(
     todo = jobs(wanted, seeds, assisted=assisted, prefix=prefix)
     results = order.learn(todo)
     count = len(seeds)
-    return {name: [course(r) for r in results[k * count : (k + 1) * count]] for k, name in enumerate(wanted)}
+    return {
+        name: [drives.course(r) for r in results[k * count : (k + 1) * count]]
+        for k, name in enumerate(wanted)
+    }
 
 
-def _optimum() -> tuple[LeastEnergy, list[ReportRow]]:
+def _optimum() -> tuple[drives.LeastEnergy, list[ReportRow]]:
     """Compute the certified front."""
     from metropilot.planning import minimum_running_time, optima_of
 
     (section, trainset), *_ = cases = make_assisted().config.cases
-    least = LeastEnergy(optima_of(cases))
+    least = drives.LeastEnergy(optima_of(cases))
     fastest = minimum_running_time(section, trainset)
     rows = [ReportRow(BOUNDS, "any", "flat_out", "minimum running time", "s", ours=fastest)]
     for time_s in (PRESCRIBED_S, THRESHOLD_S):

@@ -10,15 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
+from metropilot import convoy
 from metropilot._io import load_or_compute
-from metropilot.convoy import (
-    AbstractFollower,
-    AttackArena,
-    AttackCampaign,
-    drive_convoy,
-    needed_gap_m,
-    string_gains,
-)
 from metropilot.studies.chen2023b.drivers import AbstractGainFollower
 from metropilot.studies.chen2023b.setting import head_run, pair
 from metropilot.studies.report import ReportRow, make_row
@@ -38,7 +31,7 @@ PARTS = "parts"
 """Subfolder of results that take minutes; an interrupted study resumes from it."""
 
 
-def _identity(follower: AbstractFollower) -> str:
+def _identity(follower: convoy.AbstractFollower) -> str:
     """Id of a follower, with a digest of its policy's weights if it has one."""
     if not isinstance(follower, AbstractGainFollower):
         return follower.id
@@ -49,7 +42,7 @@ def _identity(follower: AbstractFollower) -> str:
 
 
 def rough_rows(
-    followers: Mapping[str, AbstractFollower], counts: Sequence[int], folder: Path
+    followers: Mapping[str, convoy.AbstractFollower], counts: Sequence[int], folder: Path
 ) -> list[ReportRow]:
     """Rows of longer convoys with other masses and a bad link; every run is stored on its own."""
     rows = []
@@ -67,15 +60,15 @@ def rough_rows(
     return rows
 
 
-def _drive_disturbed(follower: AbstractFollower, count: int) -> list[float]:
+def _drive_disturbed(follower: convoy.AbstractFollower, count: int) -> list[float]:
     """Contacts, smallest and largest gap, interventions of one disturbed run."""
-    drive = drive_convoy(pair(count, rough=True), head_run(count), follower)
+    drive = convoy.drive_convoy(pair(count, rough=True), head_run(count), follower)
     gap = drive.gap_m
     return [float(drive.contacts), float(gap.min()), float(gap.max()), float(sum(drive.interventions))]
 
 
 def stability(
-    followers: Mapping[str, AbstractFollower], budget: str, folder: Path
+    followers: Mapping[str, convoy.AbstractFollower], budget: str, folder: Path
 ) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     """Compute speed gains over the head for each period, (P,) and (P, N); stored for each follower."""
     count, periods = SWINGS[budget]
@@ -90,8 +83,8 @@ def stability(
     return found
 
 
-def _gains(follower: AbstractFollower, count: int, periods: Sequence[float]) -> list[list[float]]:
-    return string_gains(pair(count, guard="none"), follower, periods).speed.tolist()
+def _gains(follower: convoy.AbstractFollower, count: int, periods: Sequence[float]) -> list[list[float]]:
+    return convoy.string_gains(pair(count, guard="none"), follower, periods).speed.tolist()
 
 
 def stability_rows(gains: Mapping[str, tuple[np.ndarray, np.ndarray]]) -> list[ReportRow]:
@@ -108,7 +101,7 @@ def campaign_rows(budget: str, folder: Path) -> list[ReportRow]:
     """Rows of the campaign: emergency brakes of the head, adversarial followers; stored in parts."""
     rows = []
     for count, guard, cases in CAMPAIGNS[budget]:
-        found = _attack(AttackCampaign(count=count, guard=guard), cases, folder)
+        found = _attack(convoy.AttackCampaign(count=count, guard=guard), cases, folder)
         case = f"{count} trainsets, {cases:,} emergency brakes of the head"
         row = partial(make_row, TABLE + "trying to make them collide", case, f"protection {guard}")
         rows.append(row(CONTACTS, "", [float(sum(each[0] for each in found))]))
@@ -116,14 +109,14 @@ def campaign_rows(budget: str, folder: Path) -> list[ReportRow]:
     return rows
 
 
-def _attack(campaign: AttackCampaign, cases: int, folder: Path) -> list[list[float]]:
+def _attack(campaign: convoy.AttackCampaign, cases: int, folder: Path) -> list[list[float]]:
     """Contacts and smallest gap of every part of a campaign."""
-    arena: list[AttackArena] = []
+    arena: list[convoy.AttackArena] = []
     sitting = min(SITTING, cases)
 
     def attack(k: int) -> list[float]:
         if not arena:
-            arena.append(AttackArena(campaign))
+            arena.append(convoy.AttackArena(campaign))
         tally = arena[0].run(sitting, BATCH, first=k * sitting // BATCH)
         return [float(tally.contacts), float(tally.gap_min_m.min())]
 
@@ -140,7 +133,7 @@ def needed_gap_rows() -> list[ReportRow]:
     rows = []
     single = pair(2)
     for guard in ("moving_block", "independent", "coupled"):
-        gap = needed_gap_m(single, guard, SPEED_MPS)
+        gap = convoy.needed_gap_m(single, guard, SPEED_MPS)
         case, who = "steady 60 km/h, level link", f"protection {guard}"
         rows.append(make_row(TABLE + "gap that protection needs", case, who, "gap", "m", [gap]))
     return rows

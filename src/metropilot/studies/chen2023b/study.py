@@ -10,15 +10,8 @@ import numpy as np
 
 from metropilot.convoy import FOLLOWERS, GAP_M, AbstractFollower
 from metropilot.errors import InputError
+from metropilot.studies.chen2023b import beyond
 from metropilot.studies.chen2023b.as_printed import AS_PRINTED
-from metropilot.studies.chen2023b.beyond import (
-    CONTACTS,
-    campaign_rows,
-    needed_gap_rows,
-    rough_rows,
-    stability,
-    stability_rows,
-)
 from metropilot.studies.chen2023b.drivers import FollowPolicyOptions
 from metropilot.studies.chen2023b.figures import figures
 from metropilot.studies.chen2023b.learning import (
@@ -146,7 +139,7 @@ def _ddpg(gap: Mapping[str, tuple[float, float]], value: Found) -> str:
 
 
 def _campaign_remarks(rows: Sequence[ReportRow]) -> list[str]:
-    found = [row for row in rows if row.kpi == CONTACTS]
+    found = [row for row in rows if row.kpi == beyond.CONTACTS]
     guarded = [row for row in found if row.driver != "protection none"]
     cases = sum(_cases(row) for row in guarded)
     contacts = sum(float(row.ours or 0.0) for row in guarded)
@@ -175,12 +168,12 @@ def reproduce(order: Order) -> StudyReport:
     first = {name: each[median.get(name, 0)] for name, each in drivers.items()}
     shown = {name: each[median.get(name, 0)] for name, each in drives.items()}
     order.say("disturbing")
-    rows += rough_rows(first, (2, 4, 8) if order.budget == "paper" else (2,), order.folder)
+    rows += beyond.rough_rows(first, (2, 4, 8) if order.budget == "paper" else (2,), order.folder)
     order.say("swinging")
-    gains = stability(first, order.budget, order.folder)
-    rows += stability_rows(gains)
+    gains = beyond.stability(first, order.budget, order.folder)
+    rows += beyond.stability_rows(gains)
     order.say("attacking")
-    rows += campaign_rows(order.budget, order.folder) + needed_gap_rows()
+    rows += beyond.campaign_rows(order.budget, order.folder) + beyond.needed_gap_rows()
     return StudyReport(
         seeds=max((len(each) for each in runs.values()), default=len(seeds)),
         rows=rows,

@@ -8,19 +8,9 @@ from functools import cache
 
 import numpy as np
 
+from metropilot import planning
 from metropilot.errors import InputError
 from metropilot.physics import track_arrays, vehicle_arrays
-from metropilot.planning import (
-    PlanOptions,
-    ReferenceShape,
-    ReferenceTrack,
-    TimedReference,
-    plan_arrays,
-    reference,
-    reference_under,
-    sample_profile,
-    sample_reference,
-)
 from metropilot.railway import Section, Steps, Trainset, load_line, load_trainset
 from metropilot.studies.cheng2023.tracking import ReferenceCourse, course_of
 from metropilot.units import KMH_PER_MPS
@@ -63,8 +53,8 @@ TABLE_4 = {
 DT_S = 0.2
 LENGTH_M = 1280.0
 LIMIT_MPS = 80 / KMH_PER_MPS
-SHAPE = ReferenceShape(0.9, 0.8, 0.5)
-GENTLE = ReferenceShape(0.75, 0.75, 0.4)
+SHAPE = planning.ReferenceShape(0.9, 0.8, 0.5)
+GENTLE = planning.ReferenceShape(0.75, 0.75, 0.4)
 EFFORT_SHARE = 0.9
 CRUISE_MPS = {"base": 18.3, "fast": 19.7, "slow": 17.2}
 """Cruising speeds that give the published energies 17.04, 19.36 and 15.22 kWh."""
@@ -115,7 +105,7 @@ def section() -> Section:
     )
 
 
-def reference_of(kind: str, speed: str = "base") -> TimedReference:
+def reference_of(kind: str, speed: str = "base") -> planning.TimedReference:
     """Compute a reference, sampled at the paper's control period.
 
     Args:
@@ -129,15 +119,17 @@ def reference_of(kind: str, speed: str = "base") -> TimedReference:
         raise InputError("unknown reference", field="reference", value=kind, allowed=", ".join(REFERENCES))
     cruise = CRUISE_MPS[speed]
     if kind == "drawn":
-        return sample_reference(reference(LENGTH_M, cruise, SHAPE), DT_S)
+        return planning.sample_reference(planning.reference(LENGTH_M, cruise, SHAPE), DT_S)
     vehicle, track = vehicle_arrays(trainset()), track_arrays(section(), trainset())
     if kind == "optimal":
         time_s = reference_of("s_curve", speed).duration_s
-        plan = plan_arrays(vehicle, track, time_s, PlanOptions())
-        return sample_profile(plan.position_m, plan.speed_mps, DT_S)
+        plan = planning.plan_arrays(vehicle, track, time_s, planning.PlanOptions())
+        return planning.sample_profile(plan.position_m, plan.speed_mps, DT_S)
     shape = GENTLE if kind == "gentle" else SHAPE
     shape = replace(shape, jerk_mps3=math.inf) if kind == "trapezoid" else shape
-    return reference_under(ReferenceTrack(vehicle, track, effort_share=EFFORT_SHARE), shape, cruise, DT_S)
+    return planning.reference_under(
+        planning.ReferenceTrack(vehicle, track, effort_share=EFFORT_SHARE), shape, cruise, DT_S
+    )
 
 
 def draw_courses(count: int, seed: int) -> tuple[ReferenceCourse, ...]:
@@ -148,13 +140,13 @@ def draw_courses(count: int, seed: int) -> tuple[ReferenceCourse, ...]:
         seed: Seed of the draw.
     """
     random = np.random.default_rng(seed)
-    track = ReferenceTrack(
+    track = planning.ReferenceTrack(
         vehicle_arrays(trainset()), track_arrays(section(), trainset()), effort_share=EFFORT_SHARE
     )
     found = []
     for _ in range(count):
-        shape = ReferenceShape(*random.uniform((0.6, 0.6, 0.3), (0.95, 0.95, 0.8)))
-        timed = reference_under(track, shape, float(random.uniform(15.0, 20.5)), DT_S)
+        shape = planning.ReferenceShape(*random.uniform((0.6, 0.6, 0.3), (0.95, 0.95, 0.8)))
+        timed = planning.reference_under(track, shape, float(random.uniform(15.0, 20.5)), DT_S)
         found.append(course_of(trainset(), section(), timed, float(random.uniform(0.5, 1.5))))
     return tuple(found)
 
@@ -170,4 +162,4 @@ def optimal_kwh(scenario: int = 1) -> float:
     """Least traction energy at the wheel in the running time of a scenario's reference, kWh."""
     of, speed = course(scenario=scenario), SCENARIOS[scenario][0]
     time_s = reference_of("s_curve", speed).duration_s
-    return plan_arrays(of.vehicle, of.track, time_s, PlanOptions(spacing_m=5.0)).energy_kwh
+    return planning.plan_arrays(of.vehicle, of.track, time_s, planning.PlanOptions(spacing_m=5.0)).energy_kwh

@@ -20,17 +20,10 @@ from metropilot._provenance import circumstances
 from metropilot.policy import Policy, save_policy, shipped_policy
 from metropilot.railway import load_line, load_trainset
 from metropilot.sim import Disturbance, Run, drive
+from metropilot.studies.cheng2023 import learning
 from metropilot.studies.cheng2023.ddpg_pid import DdpgPid, DdpgPidOptions
 from metropilot.studies.cheng2023.drives import TUNED_FED_PID, policy_control
 from metropilot.studies.cheng2023.law import PAPER_LAW, TrackingLaw
-from metropilot.studies.cheng2023.learning import (
-    RESIDUAL_REWARDS,
-    REWARDS,
-    SEEDS,
-    corrections_law,
-    jobs,
-    residual_jobs,
-)
 from metropilot.studies.cheng2023.residual import CORRECTIONS
 from metropilot.studies.cheng2023.setting import course
 from metropilot.studies.cheng2023.tracking import track_course, tracking_kpis
@@ -67,9 +60,9 @@ def ship(folder: Path, target: Path) -> SeedResult:
         folder: Folder of the learning runs; missing ones are done now.
         target: File of the policy.
     """
-    results = learn_seeds(jobs(range(SEEDS)), folder)
+    results = learn_seeds(learning.jobs(range(learning.SEEDS)), folder)
     chosen = min(results, key=lambda result: (count_interventions(result.policy), -result.score))
-    _write(target, chosen, PAPER_LAW, {"reference": "s_curve", "rewards": repr(REWARDS)})
+    _write(target, chosen, PAPER_LAW, {"reference": "s_curve", "rewards": repr(learning.REWARDS)})
     return chosen
 
 
@@ -80,10 +73,10 @@ def ship_corrections(folder: Path, target: Path) -> SeedResult:
         folder: Folder of the learning runs; missing ones are done now.
         target: File of the policy.
     """
-    results = learn_seeds(residual_jobs(range(SEEDS)), folder)
+    results = learn_seeds(learning.residual_jobs(range(learning.SEEDS)), folder)
     chosen = sorted(results, key=lambda result: result.score)[len(results) // 2]
-    said = {"reference": "drawn", "rewards": repr(RESIDUAL_REWARDS), "corrects": dict(TUNED_FED_PID)}
-    _write(target, chosen, corrections_law(), said)
+    said = {"reference": "drawn", "rewards": repr(learning.RESIDUAL_REWARDS), "corrects": dict(TUNED_FED_PID)}
+    _write(target, chosen, learning.corrections_law(), said)
     return chosen
 
 

@@ -9,38 +9,11 @@ from pathlib import Path
 
 import numpy as np
 
+from metropilot import evaluate
 from metropilot.errors import Infeasible
-from metropilot.evaluate import (
-    Indices,
-    Kpis,
-    attainable_of,
-    driving_limits,
-    indices_of,
-    kpis_of,
-    make_driver,
-)
 from metropilot.planning import PlanOptions, minimum_running_time, optimal_plan
 from metropilot.sim import AbstractDriver, Drive, drive
-from metropilot.studies.huang2025.setting import (
-    BRISK_EITOE,
-    COAST,
-    DECISION_US,
-    DELAY_S,
-    EITOE,
-    EITOP,
-    EQUAL_EITOE,
-    GENTLE_MPS2,
-    IC,
-    IE,
-    MANUAL,
-    RELATIVE,
-    TOOK,
-    TOP,
-    PublishedCase,
-    comfortable,
-    run_of,
-    trainset,
-)
+from metropilot.studies.huang2025 import setting
 from metropilot.studies.report import ReportRow, make_row
 from metropilot.units import J_PER_KWH
 
@@ -60,40 +33,45 @@ class EvaluatedRun:
         drives: Drives, one per seed.
     """
 
-    case: PublishedCase
+    case: setting.PublishedCase
     driver: str
     drives: Sequence[Drive]
 
     @property
-    def indices(self) -> list[Indices]:
+    def indices(self) -> list[evaluate.Indices]:
         """The five indices of each drive."""
-        return [indices_of(one) for one in self.drives]
+        return [evaluate.indices_of(one) for one in self.drives]
 
     @property
-    def kpis(self) -> list[Kpis]:
+    def kpis(self) -> list[evaluate.Kpis]:
         """KPIs of each drive, without an optimum."""
-        return [kpis_of(one, None) for one in self.drives]
+        return [evaluate.kpis_of(one, None) for one in self.drives]
 
 
 def make_drivers(driver: str, policies: Mapping[str, Sequence[Path]], seeds: range) -> list[AbstractDriver]:
     """Make one driver per seed: manual drives differ by seed, learned ones by policy, an expert has one."""
     if driver in policies:
-        return [make_driver(driver, {"policy": str(path)}) for path in policies[driver]]
-    if driver == BRISK_EITOE:
-        return [make_driver(EITOE, {"start_mps2": GENTLE_MPS2[EITOP]})]
-    return [make_driver(driver) for _ in (seeds if driver == MANUAL else range(1))]
+        return [evaluate.make_driver(driver, {"policy": str(path)}) for path in policies[driver]]
+    if driver == setting.BRISK_EITOE:
+        return [evaluate.make_driver(setting.EITOE, {"start_mps2": setting.GENTLE_MPS2[setting.EITOP]})]
+    return [evaluate.make_driver(driver) for _ in (seeds if driver == setting.MANUAL else range(1))]
 
 
 def drive_case(
-    case: PublishedCase, driver: str, policies: Mapping[str, Sequence[Path]], seeds: range
+    case: setting.PublishedCase, driver: str, policies: Mapping[str, Sequence[Path]], seeds: range
 ) -> EvaluatedRun:
     """Drive a case with every seed or policy."""
     who = make_drivers(driver, policies, seeds)
-    return EvaluatedRun(case, driver, [drive(run_of(case, seed), one) for seed, one in enumerate(who)])
+    return EvaluatedRun(
+        case, driver, [drive(setting.run_of(case, seed), one) for seed, one in enumerate(who)]
+    )
 
 
 def drive_at_arrival(
-    case: PublishedCase, arrival_s: float, start_mps2: float = GENTLE_MPS2[EITOP], name: str = EQUAL_EITOE
+    case: setting.PublishedCase,
+    arrival_s: float,
+    start_mps2: float = setting.GENTLE_MPS2[setting.EITOP],
+    name: str = setting.EQUAL_EITOE,
 ) -> EvaluatedRun:
     """Drive a case by the expert so that it arrives when EITOP does (secant search).
 
@@ -103,10 +81,10 @@ def drive_at_arrival(
         start_mps2: Acceleration limit of the expert; EITOP's if not given.
         name: Driver id of the run.
     """
-    expert = make_driver(EITOE, {"start_mps2": start_mps2})
+    expert = evaluate.make_driver(setting.EITOE, {"start_mps2": start_mps2})
 
     def drive_for(scheduled_s: float) -> Drive:
-        return drive(run_of(replace(case, scheduled_s=scheduled_s)), expert)
+        return drive(setting.run_of(replace(case, scheduled_s=scheduled_s)), expert)
 
     found, scheduled = drive_for(case.scheduled_s), case.scheduled_s
     for _ in range(SEARCHES):
@@ -127,7 +105,7 @@ class LeastIndex:
     """
 
     def __init__(self, drives: Sequence[Drive], driver: str) -> None:
-        gentle = comfortable(driver, trainset())
+        gentle = setting.comfortable(driver, setting.trainset())
         section = drives[0].section
         fastest = minimum_running_time(section, gentle) * 1.0005
         times = [one.running_time_s for one in drives]
@@ -136,9 +114,9 @@ class LeastIndex:
         options = PlanOptions(spacing_m=SPACING_M)
         plans = [optimal_plan(section, gentle, float(t), options) for t in self.times_s]
         self.parabola = self._fit([plan.energy_wheel_j for plan in plans])
-        limits = driving_limits(drives[0].run, section)
+        limits = evaluate.driving_limits(drives[0].run, section)
         known = [
-            attainable_of(section, gentle, float(t), limits, plan)
+            evaluate.attainable_of(section, gentle, float(t), limits, plan)
             for t, plan in zip(self.times_s, plans, strict=True)
         ]
         found = [plan.energy_j for plan in known if plan is not None]
@@ -178,11 +156,11 @@ def rows_of(found: EvaluatedRun, manual: EvaluatedRun | None) -> Iterator[Report
     yield row("Is, safe", "", [float(i.safe) for i in indices])
     yield row("It, on time", "", [float(i.on_time) for i in indices])
     yield row("Ip, parked", "", [float(i.parked) for i in indices])
-    yield row(IE, "J/kg", [i.energy_jpkg for i in indices])
-    if manual is not None and driver != MANUAL:
+    yield row(setting.IE, "J/kg", [i.energy_jpkg for i in indices])
+    if manual is not None and driver != setting.MANUAL:
         usual = float(np.median([i.energy_jpkg for i in manual.indices]))
-        yield row(RELATIVE, "%", [100.0 * (i.energy_jpkg / usual - 1.0) for i in indices])
-    yield row(IC, "m/s²", [i.comfort_mps2 for i in indices])
+        yield row(setting.RELATIVE, "%", [100.0 * (i.energy_jpkg / usual - 1.0) for i in indices])
+    yield row(setting.IC, "m/s²", [i.comfort_mps2 for i in indices])
     least = LeastIndex(found.drives, driver)
     best = least.at(float(np.median([k.running_time_s for k in kpis]))) / J_PER_KWH
     yield row("wheel traction energy", "kWh", [k.energy_wheel_kwh for k in kpis], best)
@@ -190,17 +168,17 @@ def rows_of(found: EvaluatedRun, manual: EvaluatedRun | None) -> Iterator[Report
     attainable = [least.above_attainable_percent(one) for one in found.drives]
     if np.isfinite(attainable).all():
         yield row(ABOVE_ATTAINABLE, "%", attainable)
-    yield row(TOOK, "s", [k.running_time_s for k in kpis])
+    yield row(setting.TOOK, "s", [k.running_time_s for k in kpis])
     yield row("stopping error", "m", [abs(k.stopping_error_m) for k in kpis])
-    yield row(COAST, "m", [k.coasting_distance_m for k in kpis])
-    yield row(TOP, "m/s", [k.max_speed_mps for k in kpis])
+    yield row(setting.COAST, "m", [k.coasting_distance_m for k in kpis])
+    yield row(setting.TOP, "m/s", [k.max_speed_mps for k in kpis])
     yield row("interventions of protection", "", [float(k.interventions) for k in kpis])
 
 
 def decision_row(table: str, driver: str, found: Sequence[EvaluatedRun]) -> ReportRow:
     """Row of the median decision time over all drives, expert system included."""
     times = np.concatenate([one.decision_us for many in found for one in many.drives])
-    said = DECISION_US if driver == "eitop" else None
+    said = setting.DECISION_US if driver == "eitop" else None
     middle, high = float(np.median(times)), float(np.percentile(times, 95))
     kpi = "time of a decision (range: median and 95 % point)"
     return ReportRow(table, "all cases", driver, kpi, "µs", said, middle, middle, high)
@@ -214,7 +192,7 @@ LEFT = "above the least energy still possible from the update on"
 
 def state_at(one: Drive, time_s: float) -> tuple[PlanOptions, float]:
     """State of a drive at a time as the start of a plan under protection, and the wheel energy used, J."""
-    t, limits = one.trajectory, driving_limits(one.run, one.section)
+    t, limits = one.trajectory, evaluate.driving_limits(one.run, one.section)
     place, speed, used = (
         float(np.interp(time_s, t.time_s, values)) for values in (t.position_m, t.speed_mps, t.energy_wheel_j)
     )
@@ -226,14 +204,14 @@ def earliest_s(one: Drive, driver: str, told_s: float) -> float:
     """Earliest arrival from the state at a time, under the driver's comfort limits, s."""
     options, _ = state_at(one, told_s)
     hurry = replace(options, late_w=HURRY_W)
-    plan = optimal_plan(one.section, comfortable(driver, one.trainset), 1.0, hurry)
+    plan = optimal_plan(one.section, setting.comfortable(driver, one.trainset), 1.0, hurry)
     return told_s + plan.running_time_s
 
 
 def above_left_percent(one: Drive, driver: str, told_s: float) -> float:
     """Energy of the drive above the sum of that used at a time and the least for the rest, %."""
     options, used = state_at(one, told_s)
-    gentle, left = comfortable(driver, one.trainset), one.running_time_s - told_s
+    gentle, left = setting.comfortable(driver, one.trainset), one.running_time_s - told_s
     try:
         rest = optimal_plan(one.section, gentle, left, options).energy_wheel_j
     except Infeasible:
@@ -250,7 +228,7 @@ def news_rows(found: EvaluatedRun) -> Iterator[ReportRow]:
     case, driver = found.case, found.driver
     if case.told_s is None:
         return
-    told = case.told_s + DELAY_S
+    told = case.told_s + setting.DELAY_S
     row = partial(make_row, case.table, case.name, driver)
     yield row(EARLIEST, "s", [earliest_s(one, driver, told) for one in found.drives])
     above = [above_left_percent(one, driver, told) for one in found.drives]

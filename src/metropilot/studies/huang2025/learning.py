@@ -7,17 +7,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from metropilot.learn import (
-    PPO_BASE,
-    RECIPES,
-    REPLAY_BASE,
-    REPLAY_QUICK,
-    TABLE_BASE,
-    DDPGConfig,
-    NAFConfig,
-    Recipe,
-    Schedule,
-)
+from metropilot import learn
 from metropilot.studies.huang2025.setting import LEARNED, gentle
 from metropilot.studies.learning import LearnJob, SeedResult, drive_to_end, write_policy
 from metropilot.units import J_PER_KWH
@@ -29,7 +19,7 @@ if TYPE_CHECKING:
 COMMAND = "metropilot reproduce huang2025 --budget paper"
 WATCHED_S = 101.0
 EITOP_BASE = replace(
-    PPO_BASE,
+    learn.PPO_BASE,
     steps=3_000_000,
     environments=128,
     minibatches=8,
@@ -37,9 +27,9 @@ EITOP_BASE = replace(
     normalise_observations=False,
     evaluations=12,
 )
-EITOP_RECIPE = Recipe("huang2025", EITOP_BASE, {"steps": 1_000_000, "evaluations": 6})
+EITOP_RECIPE = learn.Recipe("huang2025", EITOP_BASE, {"steps": 1_000_000, "evaluations": 6})
 ITOR_BASE = replace(
-    TABLE_BASE,
+    learn.TABLE_BASE,
     steps=8_000_000,
     environments=256,
     bins=(40, 24, 1, 4, 1, 12, 1),
@@ -47,25 +37,25 @@ ITOR_BASE = replace(
     high=(2.0, 1.2, 2.0, 0.6, 1.2, 3.0, 1.0),
 )
 """Of the expert policies' features the table uses distance, speed, rate and the lateness under coasting."""
-ITOR_RECIPE = Recipe("huang2025_choices", ITOR_BASE, {"steps": 2_000_000, "evaluations": 8})
+ITOR_RECIPE = learn.Recipe("huang2025_choices", ITOR_BASE, {"steps": 2_000_000, "evaluations": 8})
 STO: dict[str, Any] = {
-    **REPLAY_BASE,
+    **learn.REPLAY_BASE,
     "steps": 160_000,
     "updates": 8,
     "batch_size": 128,
     "hidden": (64, 64),
     "gamma": 0.999,
     "n_step": 10,
-    "noise": Schedule(0.6, 0.1),
+    "noise": learn.Schedule(0.6, 0.1),
 }
 """Hyperparameters of STOD and STON."""
-STOD_RECIPE = Recipe("huang2025", DDPGConfig(**STO), REPLAY_QUICK, changes=gentle)
-STON_RECIPE = Recipe("huang2025", NAFConfig(**STO), REPLAY_QUICK, changes=gentle)
+STOD_RECIPE = learn.Recipe("huang2025", learn.DDPGConfig(**STO), learn.REPLAY_QUICK, changes=gentle)
+STON_RECIPE = learn.Recipe("huang2025", learn.NAFConfig(**STO), learn.REPLAY_QUICK, changes=gentle)
 
 
 def make_task(driver: str) -> DrivingTask:
     """Make the task of a driver's recipe."""
-    return RECIPES.get(driver).make_task()
+    return learn.RECIPES.get(driver).make_task()
 
 
 def make_evaluation(config: AbstractConfig, driver: str, task: Any) -> PolicyEvaluation:  # noqa: ANN401 (a driving task)
@@ -106,7 +96,7 @@ def make_evaluation(config: AbstractConfig, driver: str, task: Any) -> PolicyEva
 
 def job(driver: str, seed: int, budget: str) -> LearnJob:
     """One learning run of a driver."""
-    config = RECIPES.get(driver).configuration(budget)
+    config = learn.RECIPES.get(driver).configuration(budget)
     name = driver if budget == "paper" else f"quick-{driver}"
     evaluation = partial(make_evaluation, config, driver)
     return LearnJob(name, config, partial(make_task, driver), seed, evaluation, {"driver": driver})
@@ -115,7 +105,7 @@ def job(driver: str, seed: int, budget: str) -> LearnJob:
 def write_result(folder: Path, result: SeedResult) -> Path:
     """Write the policy of a learning run."""
     path = folder / f"{result.job.name}-{result.job.seed}.safetensors"
-    return write_policy(path, result, COMMAND, task=RECIPES.get(result.job.about["driver"]).task)
+    return write_policy(path, result, COMMAND, task=learn.RECIPES.get(result.job.about["driver"]).task)
 
 
 def jobs(seeds: range, budget: str) -> list[LearnJob]:

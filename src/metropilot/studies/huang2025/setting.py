@@ -10,17 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 
-from metropilot.env import (
-    AbstractAction,
-    Assists,
-    Comfort,
-    DisturbanceDistribution,
-    DrivingConfig,
-    Energy,
-    Failure,
-    Intervention,
-    Punctuality,
-)
+from metropilot import env
 from metropilot.railway import Actuation, Restriction, Section, Trainset, load_line, load_trainset
 from metropilot.sim import Disturbance, Run, TimetableUpdate
 from metropilot.studies.huang2025.env import ExpertAction, ExpertChoiceAction
@@ -193,11 +183,11 @@ LEARNED_IE = (380.0, 364.0)
 
 LINE, TRAINSET = "yizhuang-ttobench", "dkz32"
 REWARDS = (
-    Energy(),
-    Punctuality(per_s=3.0, soft_s=0.5),
-    Comfort(weight=0.2),
-    Failure(price=20.0, per_m=0.05),
-    Intervention(),
+    env.Energy(),
+    env.Punctuality(per_s=3.0, soft_s=0.5),
+    env.Comfort(weight=0.2),
+    env.Failure(price=20.0, per_m=0.05),
+    env.Intervention(),
 )
 """Huang25 eq. 26: energy, time error (eq. 27 at the end) and comfort; its weights are not printed."""
 STOP_MPS2 = 0.95
@@ -215,31 +205,31 @@ FREE = ("manual", "optimal", "flat_out")
 """Drivers that keep only the trainset's own limit of 1 m/s^2."""
 
 
-def task_config() -> DrivingConfig:
+def task_config() -> env.DrivingConfig:
     """Task ``huang2025``: the policy inside the expert changes the rate by a continuous value."""
     return _task_config(ExpertAction())
 
 
-def choice_task_config() -> DrivingConfig:
+def choice_task_config() -> env.DrivingConfig:
     """Task ``huang2025_choices``: the policy selects one of three changes of the rate."""
     return _task_config(ExpertChoiceAction())
 
 
-def gentle(config: DrivingConfig) -> DrivingConfig:
+def gentle(config: env.DrivingConfig) -> env.DrivingConfig:
     """Limit the acceleration by the paper's second rule."""
     return replace(config, action=ExpertAction(start_mps2=RULE2_MPS2))
 
 
-def _task_config(action: AbstractAction) -> DrivingConfig:
+def _task_config(action: env.AbstractAction) -> env.DrivingConfig:
     line = load_line(LINE)
-    return DrivingConfig(
+    return env.DrivingConfig(
         sections=tuple(line.section(*ends) for ends in LEARNED_ON),
         trainsets=(load_trainset(TRAINSET),),
-        scenarios=DisturbanceDistribution(time_ratio=(1.08, 1.45), news=0.2, on_the_way=ON_THE_WAY),
+        scenarios=env.DisturbanceDistribution(time_ratio=(1.08, 1.45), news=0.2, on_the_way=ON_THE_WAY),
         observer=("expert",),
         action=action,
         rewards=REWARDS,
-        assists=Assists(stop_mps2=STOP_MPS2),
+        assists=env.Assists(stop_mps2=STOP_MPS2),
     )
 
 

@@ -9,29 +9,8 @@ from typing import TYPE_CHECKING
 
 from metropilot.env import Assists, DisturbanceDistribution, DrivingTask, OnTime
 from metropilot.studies.learning import LearnJob
-from metropilot.studies.lu2023.env import (
-    CONTROL_S,
-    AccelerationComfort,
-    EffortEnergy,
-    Moving,
-    NotchForceAction,
-    StopWindow,
-)
+from metropilot.studies.lu2023 import env, setting
 from metropilot.studies.lu2023.learning import IMPROVED, LEARNING
-from metropilot.studies.lu2023.setting import (
-    EPISODES,
-    JUMP,
-    LATE_S,
-    MARGIN,
-    ON_THE_WAY,
-    PERIOD_S,
-    STOP_BONUS,
-    TABLE,
-    TIME_BONUS,
-    WORK_PER_J,
-    plan_case,
-    task_config,
-)
 from metropilot.studies.report import PrintedSetting, ReportRow, make_row
 from metropilot.studies.study import AsPrinted, LiteralRun, Order
 
@@ -45,27 +24,27 @@ BIG, P, L, R_V = 1000.0, 1.0, 10.0, 0.01
 RATE, GAMMA, EPSILON = 1e-5, 0.98, 0.8
 CUT = {"quick": 20, "paper": 1_500}
 """Episodes; the paper prints only when the reward settles, after 800 and 1,100."""
-DECISIONS = round(plan_case(PLAN).scheduled_s / CONTROL_S)
+DECISIONS = round(setting.plan_case(PLAN).scheduled_s / env.CONTROL_S)
 MOST_DECISIONS = 1_000
 SEEDS = 1
 
 
 def literal_task(*, filtered: bool) -> DrivingTask:
     """The paper's task: position, speed and time; twelve forces; eqs. 15 to 20; no assist."""
-    plan = plan_case(PLAN)
+    plan = setting.plan_case(PLAN)
     rewards = (
         OnTime(bonus=BIG, allowed_s=3.0),
-        EffortEnergy(),
-        StopWindow(bonus=BIG),
-        AccelerationComfort(bonus=P, jump_price=L, literal=True),
-        Moving(bonus=R_V),
+        env.EffortEnergy(),
+        env.StopWindow(bonus=BIG),
+        env.AccelerationComfort(bonus=P, jump_price=L, literal=True),
+        env.Moving(bonus=R_V),
     )
     config = replace(
-        task_config(),
+        setting.task_config(),
         sections=(plan.section,),
         scenarios=DisturbanceDistribution(time_s=(plan.scheduled_s, plan.scheduled_s)),
         observer="position_speed_time",
-        action=NotchForceAction(in_time=filtered, margin=0.0),
+        action=env.NotchForceAction(in_time=filtered, margin=0.0),
         rewards=rewards,
         assists=Assists(stop=False, ceiling=False),
         periods=1,
@@ -105,7 +84,7 @@ def jobs(seeds: Iterable[int], budget: str) -> list[LearnJob]:
     for driver, improved in DRIVERS.items():
         config = literal_config(budget, improved=improved)
         task = partial(literal_task, filtered=improved)
-        evaluation = partial(drive_plans, (plan_case(PLAN),), config)
+        evaluation = partial(drive_plans, (setting.plan_case(PLAN),), config)
         about = {"plan": PLAN, "filter": improved}
         name = f"as-printed-{budget}-{driver}-{PLAN}"
         found += [LearnJob(name, config, task, seed, evaluation, about) for seed in seeds]
@@ -119,7 +98,7 @@ def measure(order: Order) -> LiteralRun:
     rows: list[ReportRow] = []
     for k, driver in enumerate(DRIVERS):
         rows += _rows(driver, results[k * len(seeds) : (k + 1) * len(seeds)])
-    settled = EPISODES[PLAN, "improved_dqn"], EPISODES[PLAN, "dqn"]
+    settled = setting.EPISODES[PLAN, "improved_dqn"], setting.EPISODES[PLAN, "dqn"]
     length = (
         f"{len(seeds)} seed of {CUT[order.budget]:,} episodes each; the paper's rewards settle after "
         f"{settled[0]:,.0f} (improved DQN) and {settled[1]:,.0f} (DQN)."
@@ -134,7 +113,7 @@ def _rows(driver: str, results: Sequence[SeedResult]) -> list[ReportRow]:
         values = [result.history[f"evaluation.{PLAN}.{column}"] for result in results]
         return [float(each[k]) for each, k in zip(values, kept, strict=True)]
 
-    row = partial(make_row, TABLE, plan_case(PLAN).name, driver)
+    row = partial(make_row, setting.TABLE, setting.plan_case(PLAN).name, driver)
     return [
         row("drives that stand within 0.3 m of the stop", "%", [100.0 * one for one in values_of("arrived")]),
         row("stopping error", "m", [abs(one) for one in values_of("stop_m")]),
@@ -152,9 +131,9 @@ SETTINGS = (
     ),
     PrintedSetting(
         "decision (Table 4)",
-        f"every {CONTROL_S:g} s and 0.1 m",
-        f"every {PERIOD_S:g} s",
-        f"every {CONTROL_S:g} s; below 0.5 m/s the trainset goes less than 0.1 m in it.",
+        f"every {env.CONTROL_S:g} s and 0.1 m",
+        f"every {setting.PERIOD_S:g} s",
+        f"every {env.CONTROL_S:g} s; below 0.5 m/s the trainset goes less than 0.1 m in it.",
     ),
     PrintedSetting(
         "assists",
@@ -165,23 +144,23 @@ SETTINGS = (
     PrintedSetting(
         "comfort (eq. 18)",
         "P + a within 0.8 m/s², L after a jump",
-        f"P - |a| within 0.8 m/s², {-JUMP:g} after a jump",
+        f"P - |a| within 0.8 m/s², {-setting.JUMP:g} after a jump",
         f"P = {P:g}, L = {-L:g} and r_v = {R_V:g} are not printed; L is called a large negative reward.",
     ),
     PrintedSetting(
         "lateness allowed (eq. 15)",
         "3 s",
-        f"{LATE_S:g} s while learning, then a price",
+        f"{setting.LATE_S:g} s while learning, then a price",
     ),
     PrintedSetting(
         "price of work, bonuses of time and stop (eqs. 15 to 17)",
         "1e-5 per J, 1000 each",
-        f"{WORK_PER_J:g} per J, {TIME_BONUS:g} and {STOP_BONUS:g}",
+        f"{setting.WORK_PER_J:g} per J, {setting.TIME_BONUS:g} and {setting.STOP_BONUS:g}",
     ),
     PrintedSetting(
         "filter (3.3.4)",
         "accelerate to the limit, hold it, brake",
-        f"flat-out time of the plant and {100 * MARGIN:g} %",
+        f"flat-out time of the plant and {100 * setting.MARGIN:g} %",
         "flat-out time of the plant without a margin; the paper calls leaving out the resistance a flaw.",
     ),
     PrintedSetting("learning rate, discount, first epsilon", "1e-5, 0.98, 0.8", "1e-3 to 3e-5, 1, 0.5"),
@@ -190,7 +169,7 @@ SETTINGS = (
     PrintedSetting(
         "start of an episode",
         "standstill at the station",
-        f"{100 * ON_THE_WAY:g} % of them on the way",
+        f"{100 * setting.ON_THE_WAY:g} % of them on the way",
     ),
     PrintedSetting(
         "episodes",

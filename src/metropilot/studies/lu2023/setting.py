@@ -4,13 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from metropilot.env import (
-    Assists,
-    DisturbanceDistribution,
-    DrivingConfig,
-    DrivingTask,
-    OnTime,
-)
+from metropilot import env
 from metropilot.railway import Section, load_line, load_trainset
 from metropilot.studies.lu2023.env import (
     CONTROL_S,
@@ -106,7 +100,7 @@ MARGIN = 0.03
 """Relative margin on the filter's flat-out time, for protection and the steps of the notches."""
 MOST_MPS2 = 0.8
 """Largest acceleration and deceleration in the paper."""
-ASSISTS = Assists(margin_mps=0.02, stop_use=0.98, let_go=0.3)
+ASSISTS = env.Assists(margin_mps=0.02, stop_use=0.98, let_go=0.3)
 """Station-stop braking by the two strongest notches, close to the trainset's best."""
 LATE_S, SOFT_S = 0.1, 3.0
 """Lateness that earns the whole bonus while learning, and the one over which it is lost (the paper: 3 s)."""
@@ -118,7 +112,7 @@ ALL_TIMES_S = (118.0, 142.0)
 ON_THE_WAY, LEFT_RATIO = 0.4, (1.0, 1.5)
 """Share of episodes that begin between stations, and their range of time left over flat-out time to go."""
 REWARDS = (
-    OnTime(bonus=TIME_BONUS, allowed_s=LATE_S, soft_s=SOFT_S),
+    env.OnTime(bonus=TIME_BONUS, allowed_s=LATE_S, soft_s=SOFT_S),
     EffortEnergy(per_j=WORK_PER_J),
     StopWindow(bonus=STOP_BONUS),
     AccelerationComfort(jump_price=JUMP),
@@ -132,9 +126,9 @@ ACTION = NotchForceAction(margin=MARGIN, most_mps2=MOST_MPS2, below_mps=0.03, la
 """The notches, and which of them can be chosen."""
 
 
-def task_config() -> DrivingConfig:
+def task_config() -> env.DrivingConfig:
     """Task ``lu2023``: both lines, running times of all plans, time left and limits ahead observed."""
-    return DrivingConfig(
+    return env.DrivingConfig(
         sections=tuple(load_line(line).section("WHY", "WYJ") for line in LINES),
         trainsets=(load_trainset(TRAINSET),),
         scenarios=_times(ALL_TIMES_S),
@@ -148,18 +142,18 @@ def task_config() -> DrivingConfig:
     )
 
 
-def without_filter(config: DrivingConfig) -> DrivingConfig:
+def without_filter(config: env.DrivingConfig) -> env.DrivingConfig:
     """Remove the minimum-arrival-time filter from a task."""
     return replace(config, action=replace(ACTION, in_time=False))
 
 
-def plan_task(plan: PlanCase, *, filtered: bool) -> DrivingTask:
+def plan_task(plan: PlanCase, *, filtered: bool) -> env.DrivingTask:
     """Make the task of one plan, as in the paper: one line, one scheduled time."""
     config = task_config() if filtered else without_filter(task_config())
-    return DrivingTask(
+    return env.DrivingTask(
         replace(config, sections=(plan.section,), scenarios=_times((plan.scheduled_s, plan.scheduled_s)))
     )
 
 
-def _times(times_s: tuple[float, float]) -> DisturbanceDistribution:
-    return DisturbanceDistribution(time_s=times_s, on_the_way=ON_THE_WAY, left_ratio=LEFT_RATIO)
+def _times(times_s: tuple[float, float]) -> env.DisturbanceDistribution:
+    return env.DisturbanceDistribution(time_s=times_s, on_the_way=ON_THE_WAY, left_ratio=LEFT_RATIO)

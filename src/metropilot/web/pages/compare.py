@@ -13,16 +13,8 @@ from metropilot.planning import excess_percent
 from metropilot.units import J_PER_KWH
 from metropilot.web import catalogue
 from metropilot.web.errors import Refused
+from metropilot.web.pages import form
 from metropilot.web.pages import frame as parts
-from metropilot.web.pages.form import (
-    DisturbanceForm,
-    SectionForm,
-    driver_choice,
-    driver_names,
-    number_field,
-    other_options,
-    validate,
-)
 from metropilot.web.pages.plots import blank, compare_figure, front_figure
 from metropilot.web.schemas.requests import CompareIn
 from metropilot.web.service import Service
@@ -62,21 +54,21 @@ class ComparePage:
         self.options: dict[str, Any] = {}
         self.wanted_s: float | None = None
         self.planning = False
-        self.form = SectionForm(service, self.load_front, self.move_cursor)
-        self.disturbances = DisturbanceForm()
+        self.form = form.SectionForm(service, self.load_front, self.move_cursor)
+        self.disturbances = form.DisturbanceForm()
 
     def build(self) -> None:
         """Build the fields on the left and the results on the right."""
         with ui.element("div").classes("mp-col"), parts.card(_("Run")):
             self.form.build()
-            drivers = driver_names(self.service)
+            drivers = form.driver_names(self.service)
             wanted = ("optimal", "manual", "flat_out") if self.driver is None else ("optimal", self.driver)
             chosen = [name for name in wanted if name in drivers]
             self.drivers = ui.select(drivers, value=chosen, label=_("Drivers"), multiple=True)
             self.drivers.props("outlined dense options-dense use-chips")
             self.form.problem.beside("drivers", self.drivers).props('data-test="drivers"')
             self.form.problem.beside("driver", self.drivers)
-            self.seeds = number_field(CompareIn, "seeds", label=_("Seeds of each driver"), step=1)
+            self.seeds = form.number_field(CompareIn, "seeds", label=_("Seeds of each driver"), step=1)
             self.form.problem.beside("seeds", self.seeds)
             self.disturbances.build(self.form.problem)
             with ui.element("div").classes("mp-row"):
@@ -122,14 +114,14 @@ class ComparePage:
         self.disturbances.restore(body)
         self.seeds.value = body["seeds"]
         chosen = {
-            name: driver_choice(
+            name: form.driver_choice(
                 self.service, self.drivers, name, body["options"] if name == body["driver"] else {}
             )
             for name in body["drivers"]
         }
         self.drivers.value = list(chosen.values())
         driver = chosen.get(body["driver"], body["driver"])
-        self.options = {"driver": driver, "options": other_options(body["options"])}
+        self.options = {"driver": driver, "options": form.other_options(body["options"])}
 
     async def load_front(self) -> None:
         """Compute the front of the section."""
@@ -185,7 +177,7 @@ class ComparePage:
             values |= {"drivers": drivers, "seeds": self.seeds.value, "driver": (drivers or ["optimal"])[0]}
             if self.form.linked and self.options.get("driver") in drivers:
                 values |= self.options
-            body = validate(CompareIn, values)
+            body = form.validate(CompareIn, values)
             self.job = self.service.submit(body)
             ui.run_javascript(f"history.replaceState(null, '', '/compare?job={self.job}')")
             self.watch()

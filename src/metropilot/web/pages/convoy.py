@@ -12,16 +12,9 @@ from metropilot.errors import MetropilotError
 from metropilot.units import KINDS, KMH_PER_MPS
 from metropilot.web import catalogue
 from metropilot.web.errors import Refused
+from metropilot.web.pages import form
 from metropilot.web.pages import frame as parts
 from metropilot.web.pages.drive import checks_table
-from metropilot.web.pages.form import (
-    DisturbanceForm,
-    SectionForm,
-    driver_choice,
-    driver_names,
-    number_field,
-    validate,
-)
 from metropilot.web.pages.plots import convoy_figure, finished_convoy_figure
 from metropilot.web.pages.strip import section_strip
 from metropilot.web.pages.watched import AbstractWatched
@@ -63,8 +56,8 @@ class ConvoyPage(AbstractWatched):
         self.link_to = run
         self.run: str | None = None
         self.kept: dict[str, Any] = {}
-        self.form = SectionForm(service, self.update_section, reserve=SLOW)
-        self.world = DisturbanceForm()
+        self.form = form.SectionForm(service, self.update_section, reserve=SLOW)
+        self.world = form.DisturbanceForm()
 
     def build(self) -> None:
         """Build the fields on the left and the results on the right."""
@@ -74,10 +67,10 @@ class ConvoyPage(AbstractWatched):
                 problem = self.form.problem
                 followers = list(FOLLOWERS.ids())
                 with ui.element("div").classes("mp-row"):
-                    self.count = number_field(ConvoyIn, "trainsets")
-                    self.gap = number_field(ConvoyIn, "gap_m")
+                    self.count = form.number_field(ConvoyIn, "trainsets")
+                    self.gap = form.number_field(ConvoyIn, "gap_m")
                 with ui.element("div").classes("mp-row"):
-                    self.head = ui.select(driver_names(self.service), value="optimal", label=_("Head"))
+                    self.head = ui.select(form.driver_names(self.service), value="optimal", label=_("Head"))
                     self.follower = ui.select(followers, value="follow_plan", label=_("Followers"))
                 self.guard = ui.select(
                     translate_each(GUARDS), value="coupled", label=_("Protection relies on")
@@ -116,9 +109,9 @@ class ConvoyPage(AbstractWatched):
         ):
             self.news = parts.Problem()
             with ui.element("div").classes("mp-row"):
-                self.delay = number_field(NewLink, "delay_s")
-                self.jitter = number_field(NewLink, "jitter_s")
-                self.loss = number_field(NewLink, "loss", KINDS["share"]["%"])
+                self.delay = form.number_field(NewLink, "delay_s")
+                self.jitter = form.number_field(NewLink, "jitter_s")
+                self.loss = form.number_field(NewLink, "loss", KINDS["share"]["%"])
                 for name, element in (
                     ("delay_s", self.delay),
                     ("jitter_s", self.jitter),
@@ -171,7 +164,7 @@ class ConvoyPage(AbstractWatched):
             raise Refused(f"the job is a {row.kind}, no convoy", 404, field="id", value=row.id)
         self.form.restore(body)
         self.count.value, self.gap.value = body["trainsets"], body["gap_m"]
-        self.head.value = driver_choice(self.service, self.head, body["driver"])
+        self.head.value = form.driver_choice(self.service, self.head, body["driver"])
         self.follower.value, self.guard.value = body["follower"], body["guard"]
         self.world.restore(body)
         self.delay.value, self.jitter.value = body["link_delay_s"], body["link_jitter_s"]
@@ -199,7 +192,7 @@ class ConvoyPage(AbstractWatched):
         """Start a convoy and watch it."""
         with self.form.problem.show_errors():
             await self.form.wait_for_section()
-            body = validate(
+            body = form.validate(
                 ConvoyIn,
                 {
                     **self.form.values(),
@@ -234,7 +227,7 @@ class ConvoyPage(AbstractWatched):
     async def relink(self) -> None:
         """Send the fields of the link."""
         with self.news.show_errors():
-            body = validate(NewLink, {**self.link(), "silent": bool(self.silent.value)}, loss=100.0)
+            body = form.validate(NewLink, {**self.link(), "silent": bool(self.silent.value)}, loss=100.0)
             await self.ask({"kind": "link", **body.model_dump()})
 
     async def brake(self) -> None:

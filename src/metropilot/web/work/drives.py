@@ -7,57 +7,46 @@ from pathlib import Path
 from typing import Any
 from zipfile import ZIP_DEFLATED, ZipFile
 
+from metropilot import evaluate
 from metropilot._io import atomic_write
-from metropilot.evaluate import (
-    Explanation,
-    Kpis,
-    Optimum,
-    RunSpec,
-    checks,
-    compare,
-    comparison_json,
-    explain_drive,
-    jobs,
-    kpis_of,
-    optimum_of,
-    outcome_words,
-    write_comparison,
-    write_run,
-)
 from metropilot.sim import COLUMNS, Drive, drive
 from metropilot.web.store import JobStore
 from metropilot.web.work.plans import numbers, plan_out
 
 
-def drive_out(driven: Drive, kpis: Kpis, optimum: Optimum | None, explanation: Explanation) -> dict[str, Any]:
+def drive_out(
+    driven: Drive, kpis: evaluate.Kpis, optimum: evaluate.Optimum | None, explanation: evaluate.Explanation
+) -> dict[str, Any]:
     """Convert a drive to plain values."""
     return {
         "driver": driven.driver,
         "success": kpis.success,
         "kpis": kpis.as_dict(),
-        "checks": [check._asdict() for check in checks(kpis)],
+        "checks": [check._asdict() for check in evaluate.checks(kpis)],
         "columns": {name: numbers(getattr(driven.trajectory, name), 4) for name in COLUMNS},
         "explanation": explanation.as_dict(),
         "plan": None if optimum is None else plan_out(optimum.plan, optimum.minimum_time_s),
     }
 
 
-def drive_job(root: str, job: str, request: RunSpec) -> dict[str, Any]:
+def drive_job(root: str, job: str, request: evaluate.RunSpec) -> dict[str, Any]:
     """Drive one run and write its files into the job's folder."""
     store = JobStore(Path(root))
     store.begin(job, "driving")
     driven = drive(request.run(), request.make_driver())
     store.update(job, progress=0.6, words="comparing with the optimum")
-    optimum = optimum_of(driven, request.objective)
-    kpis = kpis_of(driven, optimum, request.objective)
+    optimum = evaluate.optimum_of(driven, request.objective)
+    kpis = evaluate.kpis_of(driven, optimum, request.objective)
     store.update(job, progress=0.7, words="explaining")
     explanation = explain(request, driven, optimum)
     store.update(job, progress=0.8, words="drawing")
-    write_run(folder_of(root, job), request, driven, kpis, optimum, explanation)
+    evaluate.write_run(folder_of(root, job), request, driven, kpis, optimum, explanation)
     return drive_out(driven, kpis, optimum, explanation)
 
 
-def explain(request: RunSpec, driven: Drive, optimum: Optimum | None) -> Explanation:
+def explain(
+    request: evaluate.RunSpec, driven: Drive, optimum: evaluate.Optimum | None
+) -> evaluate.Explanation:
     """Explain a drive with the prices of time and the features of a learned driver.
 
     Args:
@@ -66,10 +55,12 @@ def explain(request: RunSpec, driven: Drive, optimum: Optimum | None) -> Explana
         optimum: The plan it is compared with.
     """
     again = replace(driven, run=request.run())
-    return explain_drive(again, optimum, driver=request.make_driver(), objective=request.objective)
+    return evaluate.explain_drive(again, optimum, driver=request.make_driver(), objective=request.objective)
 
 
-def compare_job(root: str, job: str, request: RunSpec, drivers: dict[str, str], seeds: int) -> dict[str, Any]:
+def compare_job(
+    root: str, job: str, request: evaluate.RunSpec, drivers: dict[str, str], seeds: int
+) -> dict[str, Any]:
     """Drive the same run with several drivers and seeds.
 
     Args:
@@ -81,7 +72,7 @@ def compare_job(root: str, job: str, request: RunSpec, drivers: dict[str, str], 
     """
     store = JobStore(Path(root))
     store.begin(job, "driving")
-    todo = jobs(list(drivers.values()), request.seed, seeds)
+    todo = evaluate.jobs(list(drivers.values()), request.seed, seeds)
     shown = {taken: name for name, taken in drivers.items()}
 
     def with_progress() -> Any:  # noqa: ANN401 (a generator of jobs)
@@ -90,21 +81,21 @@ def compare_job(root: str, job: str, request: RunSpec, drivers: dict[str, str], 
             store.update(job, progress=k / (len(todo) + 1), words=words)
             yield item
 
-    driven = compare(replace(request, options={}), with_progress())
+    driven = evaluate.compare(replace(request, options={}), with_progress())
     entries = [replace(entry, driver=shown[entry.driver]) for entry in driven]
     store.update(job, progress=0.95, words="drawing")
-    write_comparison(folder_of(root, job), request, entries)
-    spread = {row["driver"]: row["kpis"] for row in comparison_json(request, entries)["drivers"]}
+    evaluate.write_comparison(folder_of(root, job), request, entries)
+    spread = {row["driver"]: row["kpis"] for row in evaluate.comparison_json(request, entries)["drivers"]}
     found = [
         {
             "driver": e.driver,
             "successes": e.successes,
             "seeds": len(e.drives),
             "outcomes": [k.outcome for k in e.kpis],
-            "ended": [outcome_words(k) for k in e.kpis],
+            "ended": [evaluate.outcome_words(k) for k in e.kpis],
             "kpis": spread[e.driver],
             "drive": drive_out(
-                e.drives[0], e.kpis[0], e.optimum, explain_drive(e.drives[0], e.optimum, moments=0)
+                e.drives[0], e.kpis[0], e.optimum, evaluate.explain_drive(e.drives[0], e.optimum, moments=0)
             ),
         }
         for e in entries

@@ -9,19 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from metropilot import fit
 from metropilot.errors import InputError
-from metropilot.fit import (
-    Calibration,
-    Group,
-    Log,
-    Resistance,
-    Source,
-    fit_json,
-    fit_trainset,
-    read_log,
-    residual_correlation,
-    write_fit,
-)
 from metropilot.railway import Section, Trainset, load_line, load_trainset
 from metropilot.web.store import JobStore
 from metropilot.web.work.drives import folder_of
@@ -51,9 +40,9 @@ class FitRequest:
     trainset: str
     load: str | None
     section: tuple[str, str, str] | None
-    source: Source | None
-    keep: Sequence[Group]
-    resistance: Resistance
+    source: fit.Source | None
+    keep: Sequence[fit.Group]
+    resistance: fit.Resistance
 
     def read(self) -> tuple[Trainset, list[Section]]:
         """Read trainset and section.
@@ -68,7 +57,7 @@ class FitRequest:
         origin, destination = (line.station(name) for name in self.section[1:])
         return trainset, [line.section(origin, destination)]
 
-    def read_logs(self) -> list[Log]:
+    def read_logs(self) -> list[fit.Log]:
         """Read the logs, which keep the names that they were sent with.
 
         Raises:
@@ -77,7 +66,7 @@ class FitRequest:
         found = []
         for path, name in self.logs:
             try:
-                found.append(replace(read_log(path), name=name))
+                found.append(replace(fit.read_log(path), name=name))
             except InputError as error:
                 raise error.at(file=name) from None
         return found
@@ -90,7 +79,7 @@ def fit_job(root: str, job: str, request: FitRequest) -> dict[str, Any]:
     trainset, sections = request.read()
     logs = request.read_logs()
     store.update(job, progress=0.2, words="fitting")
-    found = fit_trainset(
+    found = fit.fit_trainset(
         logs,
         trainset,
         sections=sections,
@@ -100,18 +89,18 @@ def fit_job(root: str, job: str, request: FitRequest) -> dict[str, Any]:
     )
     store.update(job, progress=0.8, words="drawing")
     folder = folder_of(root, job)
-    write_fit(found, folder).rename(folder / TRAINSET)
+    fit.write_fit(found, folder).rename(folder / TRAINSET)
     return fit_out(found)
 
 
-def fit_out(found: Calibration) -> dict[str, Any]:
+def fit_out(found: fit.Calibration) -> dict[str, Any]:
     """Convert a fit to plain values."""
-    told = fit_json(found)
+    told = fit.fit_json(found)
     del told["correlation"], told["provenance"]
     return told | {"residuals": _residuals(found)}
 
 
-def _residuals(found: Calibration) -> dict[str, list[float | None]]:
+def _residuals(found: fit.Calibration) -> dict[str, list[float | None]]:
     """Curves of the residuals; of many samples every so many."""
     runs = found.runs
     step = -(-runs.row_s.size // POINTS)
@@ -126,5 +115,5 @@ def _residuals(found: Calibration) -> dict[str, list[float | None]]:
         here = np.flatnonzero(runs.row_run == run)[::step]
         for name, (values, digits) in curves.items():
             drawn[name] += [*numbers(values[here], digits), None]
-    lags, correlation = residual_correlation(found)
+    lags, correlation = fit.residual_correlation(found)
     return {**drawn, "lag_s": numbers(lags, 3), "correlation": numbers(correlation, 4)}

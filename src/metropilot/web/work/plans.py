@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from metropilot import planning
 from metropilot._processes import ONE_THREAD
 from metropilot.errors import Infeasible, InputError
 from metropilot.evaluate import POLICY, RunSpec, attainable_of, driving_limits, traction_work_j
@@ -27,17 +28,6 @@ from metropilot.physics import (
     electric_available_n,
     traction_available_n,
     vehicle_arrays,
-)
-from metropilot.planning import (
-    JourneyPlan,
-    Plan,
-    PlanOptions,
-    check_running_time,
-    minimum_running_time,
-    optimal_plan,
-    plan_journey,
-    time_energy_front,
-    timetable_waypoints,
 )
 from metropilot.policy import load_driving_policy
 from metropilot.railway import Line, Section, Station, Steps, Trainset, import_file, load_line, load_trainset
@@ -144,7 +134,7 @@ def section_of(request: RunSpec) -> dict[str, Any]:
         "destination": station(section.destination, section.length_m),
         "length_m": section.length_m,
         "planned_time_s": section.planned_time_s,
-        "minimum_running_time_s": minimum_running_time(section, trainset),
+        "minimum_running_time_s": planning.minimum_running_time(section, trainset),
         "limit_mps": window(section, "limit_mps"),
         "gradient_permil": window(section, "gradient_permil"),
     }
@@ -153,11 +143,11 @@ def section_of(request: RunSpec) -> dict[str, Any]:
 def plan_of(request: RunSpec) -> dict[str, Any]:
     """The optimal plan for the scheduled time."""
     section, trainset = request.section(), request.loaded_trainset()
-    fastest = minimum_running_time(section, trainset)
+    fastest = planning.minimum_running_time(section, trainset)
     time_s = request.time_s or section.planned_time_s or fastest * 1.1
-    check_running_time(time_s, fastest)
-    options = PlanOptions(objective=request.objective)
-    made = plan_out(optimal_plan(section, trainset, max(time_s, fastest * BARELY), options), fastest)
+    planning.check_running_time(time_s, fastest)
+    options = planning.PlanOptions(objective=request.objective)
+    made = plan_out(planning.optimal_plan(section, trainset, max(time_s, fastest * BARELY), options), fastest)
     return made | {"plant": plant_plan_of(replace(request, time_s=max(time_s, fastest * BARELY)))}
 
 
@@ -171,10 +161,10 @@ def plant_plan_of(request: RunSpec) -> dict[str, Any] | None:
         return None
     run = request.run()
     plant = run.disturbance.true_plant(run.trainset)
-    options = PlanOptions(objective=request.objective)
+    options = planning.PlanOptions(objective=request.objective)
     try:
-        fastest = minimum_running_time(run.section, plant)
-        ideal = optimal_plan(run.section, plant, run.scheduled_time_s, options)
+        fastest = planning.minimum_running_time(run.section, plant)
+        ideal = planning.optimal_plan(run.section, plant, run.scheduled_time_s, options)
     except Infeasible:
         return None
     limits = driving_limits(run, run.section)
@@ -182,7 +172,7 @@ def plant_plan_of(request: RunSpec) -> dict[str, Any] | None:
     return None if found is None else plan_out(found.plan, fastest)
 
 
-def plan_out(plan: Plan, fastest_s: float) -> dict[str, Any]:
+def plan_out(plan: planning.Plan, fastest_s: float) -> dict[str, Any]:
     """Convert a plan to plain values."""
     return {
         "position_m": numbers(plan.position_m, 3),
@@ -201,7 +191,9 @@ def plan_out(plan: Plan, fastest_s: float) -> dict[str, Any]:
 def front_of(request: RunSpec) -> dict[str, Any]:
     """The time-energy front."""
     section, trainset = request.section(), request.loaded_trainset()
-    front = time_energy_front(section, trainset, options=PlanOptions(objective=request.objective))
+    front = planning.time_energy_front(
+        section, trainset, options=planning.PlanOptions(objective=request.objective)
+    )
     return {
         "minimum_running_time_s": front.minimum_s,
         "time_s": numbers(front.time_s),
@@ -224,20 +216,20 @@ def journey_of(body: dict[str, Any]) -> dict[str, Any]:
     length = abs(destination.position_m - origin.position_m)
     if length > LONGEST_M:
         raise InputError("journey too long", field="destination", value=length, unit="m")
-    options = PlanOptions(objective=body["objective"])
+    options = planning.PlanOptions(objective=body["objective"])
     ends = {"origin": origin, "destination": destination}
-    points = timetable_waypoints(line, origin, destination, total_s=body["total_s"])
-    made = plan_journey(line, trainset, points, options, **ends)
+    points = planning.timetable_waypoints(line, origin, destination, total_s=body["total_s"])
+    made = planning.plan_journey(line, trainset, points, options, **ends)
     planned = None
     if body["total_s"] is not None and line.planned_forward_s:
         # The timetable's own running times, for comparison; they may be too short for this trainset.
         with suppress(Infeasible):
-            points = timetable_waypoints(line, origin, destination)
-            planned = plan_journey(line, trainset, points, options, **ends).plan.energy_j
+            points = planning.timetable_waypoints(line, origin, destination)
+            planned = planning.plan_journey(line, trainset, points, options, **ends).plan.energy_j
     return {**_journey_out(made), "planned_energy_j": planned}
 
 
-def _journey_out(made: JourneyPlan) -> dict[str, Any]:
+def _journey_out(made: planning.JourneyPlan) -> dict[str, Any]:
     plan, calls = made.plan, made.calls
     time, at, speed = [], [], []
     for before, after in pairwise(calls):
