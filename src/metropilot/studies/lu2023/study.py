@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from metropilot.evaluate import make_driver
 from metropilot.studies.learning import write_policy
+from metropilot.studies.lu2023 import setting
 from metropilot.studies.lu2023.as_printed import AS_PRINTED, R_V, P
 from metropilot.studies.lu2023.drives import (
     ABOVE_ANY,
@@ -24,25 +25,6 @@ from metropilot.studies.lu2023.drives import (
 )
 from metropilot.studies.lu2023.figures import figures
 from metropilot.studies.lu2023.learning import ALL_STEPS, LEARNING, RULE
-from metropilot.studies.lu2023.setting import (
-    ABLATION,
-    BEYOND,
-    CITATION,
-    CONVERGENCE,
-    EPISODES,
-    FASTER_PERCENT,
-    JUMP,
-    LATE_S,
-    MOST_MPS2,
-    PLANS,
-    RULES,
-    SOFT_S,
-    STOP_BONUS,
-    SWITCH,
-    TABLE,
-    WORK_PER_J,
-    plan_case,
-)
 from metropilot.studies.lu2023.ship import median_of
 from metropilot.studies.report import ReportRow, StudyReport, make_row, paragraphs
 from metropilot.studies.study import Study
@@ -62,13 +44,15 @@ TO_CONVERGENCE, STEADY_SHARE = "episodes to convergence (Kaplan-Meier median)", 
 
 
 def _claim(plan: str, kpi: str, words: str) -> Claim:
-    return Claim(f"{words}, {plan}", "improved_dqn", kpi, plan, rivals=(PID, RULES), table=TABLE)
+    return Claim(
+        f"{words}, {plan}", "improved_dqn", kpi, plan, rivals=(PID, setting.RULES), table=setting.TABLE
+    )
 
 
 CLAIMS = (
     *(
         _claim(plan.name, kpi, words)
-        for plan in PLANS
+        for plan in setting.PLANS
         for kpi, words in (
             (STOP, "improved DQN with the stop assist stops at the mark"),
             (LATE, "it keeps the time"),
@@ -119,21 +103,22 @@ Epsilon falls from 0.5 (paper: 0.8) to 0.05 over the first 30 % of the run.
 Four episodes in ten start during the run, with a time left between the flat-out time and 1.5 times it, so
 that a network meets every state; the paper starts each at the origin. Evaluations start from standstill.
 
-Eq. 15 is learned with {LATE_S:g} s instead of 3 s, and its bonus turns into a price over {SOFT_S:g}
-further seconds instead of at once: with 3 s at no price the arrival is as late as that allows.
+Eq. 15 is learned with {setting.LATE_S:g} s instead of 3 s, and its bonus turns into a price over
+{setting.SOFT_S:g} further seconds instead of at once: with 3 s at no price the arrival is as late as that
+allows.
 
-Work costs twice as much as in eq. 16 (mu = {WORK_PER_J:g} instead of 1e-5 per J), and the stop earns
-{STOP_BONUS:g} instead of K = 1000, so that energy is a larger part of what the network has to tell apart.
-Lateness costs more than the energy that it saves, for improved DQN and for plain DQN, which has no filter
-to keep it from being late.
+Work costs twice as much as in eq. 16 (mu = {setting.WORK_PER_J:g} instead of 1e-5 per J), and the stop
+earns {setting.STOP_BONUS:g} instead of K = 1000, so that energy is a larger part of what the network has
+to tell apart. Lateness costs more than the energy that it saves, for improved DQN and for plain DQN,
+which has no filter to keep it from being late.
 
-A change between traction, coasting and braking from one decision to the next costs {SWITCH:g}, as much as
-{SWITCH / WORK_PER_J / J_PER_KWH:.2f} kWh; the paper has no such price, and counts them in Fig. 9. The
-last command is observed for it.
+A change between traction, coasting and braking from one decision to the next costs {setting.SWITCH:g}, as
+much as {setting.SWITCH / setting.WORK_PER_J / J_PER_KWH:.2f} kWh; the paper has no such price, and counts
+them in Fig. 9. The last command is observed for it.
 
 Eq. 18 prints P + a for gentle accelerations, which rewards acceleration: P - |a| here, P = {P:g}, L =
-{-JUMP:g} and a_lim = 0.8 m/s2 assumed; r_v = {R_V:g} assumed. L = -10 would make a pull where a low limit
-ends cost as much as 1 % of the energy.
+{-setting.JUMP:g} and a_lim = 0.8 m/s2 assumed; r_v = {R_V:g} assumed. L = -10 would make a pull where a
+low limit ends cost as much as 1 % of the energy.
 
 The flat-out time of the filter is that of the plant with resistance and limits, 3 % longer to keep clear
 of protection; the paper's changes speed at once and has no resistance. It does not know the largest
@@ -152,8 +137,8 @@ station-stop law.
 
 def remarks(rows: Sequence[ReportRow], *, budget: str) -> list[str]:
     """Findings as sentences made from the rows: medians over the seeds, the worst plan."""
-    plans = [row for row in rows if row.table == TABLE and row.driver == "improved_dqn"]
-    pid = [row for row in rows if row.table == TABLE and row.driver == PID]
+    plans = [row for row in rows if row.table == setting.TABLE and row.driver == "improved_dqn"]
+    pid = [row for row in rows if row.table == setting.TABLE and row.driver == PID]
     switches = f"most switches of regime in {SPAN_M:.0f} m"
 
     def worst(kpi: str, among: Sequence[ReportRow]) -> float:
@@ -163,7 +148,7 @@ def remarks(rows: Sequence[ReportRow], *, budget: str) -> list[str]:
 
     stop, late, over = (worst(kpi, plans) for kpi in (STOP, LATE, "largest overspeed"))
     hard, jerk = worst("largest acceleration", plans), worst("largest jerk", plans)
-    kept = "within" if hard <= MOST_MPS2 + 0.005 else "beyond"
+    kept = "within" if hard <= setting.MOST_MPS2 + 0.005 else "beyond"
 
     def above(among: Sequence[ReportRow], kpi: str = ABOVE_GENTLE) -> str:
         found = {row.case: row.ours for row in among if row.kpi == kpi and row.ours is not None}
@@ -173,12 +158,12 @@ def remarks(rows: Sequence[ReportRow], *, budget: str) -> list[str]:
         (
             "Medians over the seeds: the plans of Table 5 stop within "
             f"{stop:.3f} m and {late:.1f} s, at most {over:.2f} m/s over the limit. They need more wheel "
-            f"traction energy than the optimum over the notches within {MOST_MPS2:g} m/s² by "
+            f"traction energy than the optimum over the notches within {setting.MOST_MPS2:g} m/s² by "
             f"{above(plans)}; than that with any acceleration by "
             f"{above(plans, ABOVE_ANY)}."
         ),
         (
-            f"Their largest acceleration is {hard:.2f} m/s², {kept} the paper's {MOST_MPS2:g}, their "
+            f"Their largest acceleration is {hard:.2f} m/s², {kept} the paper's {setting.MOST_MPS2:g}, their "
             f"largest jerk {jerk:.1f} m/s³, and they change between traction, coasting and braking at most "
             f"{worst(switches, plans):.0f} times in {SPAN_M:.0f} m (the paper's PID 13, here {PID} "
             f"{worst(switches, pid):.0f})."
@@ -191,7 +176,7 @@ def remarks(rows: Sequence[ReportRow], *, budget: str) -> list[str]:
     said.append(
         "It is unclear whether the published kWh include braking work (eq. 16 does); both are listed."
     )
-    beyond = [row for row in rows if row.table == BEYOND]
+    beyond = [row for row in rows if row.table == setting.BEYOND]
     if beyond:
         said.append(
             "One network that observes the time left and the limits ahead drives all four plans "
@@ -203,7 +188,7 @@ def remarks(rows: Sequence[ReportRow], *, budget: str) -> list[str]:
         said.extend(_compare_convergence(rows))
     else:
         said.append("Quick: the plans are driven by shipped policies; convergence needs `--budget paper`.")
-    alone = [plan.id for plan in PLANS if not policy_file(f"improved_dqn-{plan.id}").is_file()]
+    alone = [plan.id for plan in setting.PLANS if not policy_file(f"improved_dqn-{plan.id}").is_file()]
     if budget != "paper" and alone:
         said.append(
             f"No network of a single plan is shipped for {', '.join(alone)}: the network for all "
@@ -214,7 +199,7 @@ def remarks(rows: Sequence[ReportRow], *, budget: str) -> list[str]:
 
 def _compare_convergence(rows: Sequence[ReportRow]) -> list[str]:
     """Comparison of improved DQN with DQN, and of each improvement left out, by survival statistics."""
-    ours = {(row.case, row.kpi): row.ours for row in rows if row.table == CONVERGENCE}
+    ours = {(row.case, row.kpi): row.ours for row in rows if row.table == setting.CONVERGENCE}
 
     def faster(case: str, words: str) -> str:
         gain, p = (ours.get((case, kpi.format(words))) for kpi in (FASTER, CHANCE))
@@ -224,10 +209,10 @@ def _compare_convergence(rows: Sequence[ReportRow]) -> list[str]:
     cases = dict.fromkeys(case for case, kpi in ours if kpi == FASTER.format(CONVERGES))
     found = [
         f"{case}: speed-up of improved DQN over DQN {faster(case, CONVERGES)}; to a steady run "
-        f"{faster(case, IS_STEADY)}; published {FASTER_PERCENT} % at 120 s."
+        f"{faster(case, IS_STEADY)}; published {setting.FASTER_PERCENT} % at 120 s."
         for case in cases
     ]
-    alone = [row for row in rows if row.table == ABLATION]
+    alone = [row for row in rows if row.table == setting.ABLATION]
     for kpi, words, unit in (
         (TO_CONVERGENCE, "episodes to convergence", ""),
         (STEADY_SHARE, "runs that were steady", " %"),
@@ -265,7 +250,7 @@ def reproduce(order: Order) -> StudyReport:
     short = {} if paper else {"steps": QUICK_STEPS}
     prefix = "" if paper else "quick-"
     jobs = [
-        plan_job(f"{prefix}{driver}", plan_case(plan), seed, off, **short)
+        plan_job(f"{prefix}{driver}", setting.plan_case(plan), seed, off, **short)
         for plan in compared
         for driver, off in LEARNERS.items()
         for seed in seeds
@@ -274,13 +259,13 @@ def reproduce(order: Order) -> StudyReport:
         few = range(min(len(seeds), ALL_SEEDS))
         jobs += [
             plan_job("improved_dqn", plan, seed, steps=ALL_STEPS if plan.restricted else LEARNING.steps)
-            for plan in PLANS
+            for plan in setting.PLANS
             if plan.id not in compared
             for seed in seeds
         ]
         jobs += [all_plans_job(driver, seed) for driver in LEARNERS for seed in few]
         jobs += [
-            plan_job(f"without-{off}", plan_case(ABLATED), seed, off)
+            plan_job(f"without-{off}", setting.plan_case(ABLATED), seed, off)
             for off in IMPROVEMENTS
             for seed in range(min(len(seeds), ABLATION_SEEDS))
         ]
@@ -290,14 +275,18 @@ def reproduce(order: Order) -> StudyReport:
         named.setdefault(result.job.name.removeprefix("quick-"), []).append(result)
     runs: Runs = {plan: {driver: named[f"{driver}-{plan}"] for driver in LEARNERS} for plan in compared}
     drives, all_plans = _drives(order.folder / "lu2023", named, paper=paper)
-    rows = [row for one in drives for row in arrival_rows(TABLE, one, published=one[0].driver != RULES)]
-    rows += [row for one in all_plans for row in arrival_rows(BEYOND, one, published=False)]
+    rows = [
+        row
+        for one in drives
+        for row in arrival_rows(setting.TABLE, one, published=one[0].driver != setting.RULES)
+    ]
+    rows += [row for one in all_plans for row in arrival_rows(setting.BEYOND, one, published=False)]
     rows += _convergence(runs) if paper else _short(runs)
     rows += _ablation(named) if paper else []
     return StudyReport(
         seeds=len(seeds),
         rows=rows,
-        figures=figures([seeds[0] for seeds in drives if seeds[0].driver != RULES], runs),
+        figures=figures([seeds[0] for seeds in drives if seeds[0].driver != setting.RULES], runs),
         claims=CLAIMS,
         deviations=DEVIATIONS,
         remarks=remarks(rows, budget=order.budget),
@@ -306,8 +295,8 @@ def reproduce(order: Order) -> StudyReport:
 
 def fixed_rows() -> list[ReportRow]:
     """Rows of the rules, which neither learn nor draw."""
-    drives = [drive_plan(plan, RULES, make_driver(RULES)) for plan in PLANS]
-    return [row for one in drives for row in arrival_rows(TABLE, [one], published=False)]
+    drives = [drive_plan(plan, setting.RULES, make_driver(setting.RULES)) for plan in setting.PLANS]
+    return [row for one in drives for row in arrival_rows(setting.TABLE, [one], published=False)]
 
 
 def _drives(
@@ -323,19 +312,19 @@ def _drives(
     if paper:
         paths("all", "dqn")
     drives = []
-    for plan in PLANS:
+    for plan in setting.PLANS:
         own = paths(plan.id)
         drives.append([drive_plan(plan, "improved_dqn", load_driver(path)) for path in own])
         if plan.id == "130":
             drives.append([track_policy(plan, path) for path in own])
-        drives.append([drive_plan(plan, RULES, make_driver(RULES))])
+        drives.append([drive_plan(plan, setting.RULES, make_driver(setting.RULES))])
     shared = [load_driver(path) for path in paths("all")]
-    return drives, [[drive_plan(plan, "improved_dqn", one) for one in shared] for plan in PLANS]
+    return drives, [[drive_plan(plan, "improved_dqn", one) for one in shared] for plan in setting.PLANS]
 
 
 def _write_policies(folder: Path, results: Sequence[SeedResult], driver: str, plan_id: str) -> list[Path]:
     """Write the policy of every seed, and that of the median seed under the name that is shipped."""
-    cases = PLANS if plan_id == "all" else (plan_case(plan_id),)
+    cases = setting.PLANS if plan_id == "all" else (setting.plan_case(plan_id),)
     about = {"task": "lu2023", "plans": [plan.id for plan in cases]}
     write_policy(folder / f"{driver}-{plan_id}.safetensors", median_of(results, cases), COMMAND, **about)
     places = [folder / f"{driver}-{plan_id}-{one.job.seed}.safetensors" for one in results]
@@ -345,7 +334,7 @@ def _write_policies(folder: Path, results: Sequence[SeedResult], driver: str, pl
 def _convergences(results: Sequence[SeedResult], plan_id: str, in_a_row: int = 1) -> list[Convergence]:
     from metropilot.studies.lu2023.learning import find_convergence, meet_demands
 
-    plan = plan_case(plan_id)
+    plan = setting.plan_case(plan_id)
     front = notch_front(plan)
     good = [meet_demands(r.history, plan.id, plan.scheduled_s, front) for r in results]
     return [find_convergence(r.history, met, in_a_row) for r, met in zip(results, good, strict=True)]
@@ -355,7 +344,7 @@ def _episode_rows(table: str, plan_id: str, driver: str, results: Sequence[SeedR
     from metropilot.studies.lu2023.learning import STEADY, median_episodes
 
     found, steady = _convergences(results, plan_id), _convergences(results, plan_id, STEADY)
-    case, published = plan_case(plan_id).name, EPISODES.get((plan_id, driver))
+    case, published = setting.plan_case(plan_id).name, setting.EPISODES.get((plan_id, driver))
     share, kept = (100.0 * sum(run.converged for run in runs) / len(runs) for runs in (found, steady))
     return [
         ReportRow(table, case, driver, TO_CONVERGENCE, "", published=published, ours=median_episodes(found)),
@@ -370,12 +359,12 @@ def _convergence(runs: Runs) -> list[ReportRow]:
     rows: list[ReportRow] = []
     for plan_id, learners in runs.items():
         for driver, results in learners.items():
-            rows += _episode_rows(CONVERGENCE, plan_id, driver, results)
+            rows += _episode_rows(setting.CONVERGENCE, plan_id, driver, results)
         for in_a_row, words in ((1, CONVERGES), (STEADY, IS_STEADY)):
             found = {driver: _convergences(each, plan_id, in_a_row) for driver, each in learners.items()}
             gain = speed_up(found["dqn"], found["improved_dqn"])
-            said = FASTER_PERCENT if plan_id == "120" and in_a_row == 1 else None
-            place = (CONVERGENCE, plan_case(plan_id).name, "improved_dqn")
+            said = setting.FASTER_PERCENT if plan_id == "120" and in_a_row == 1 else None
+            place = (setting.CONVERGENCE, setting.plan_case(plan_id).name, "improved_dqn")
             rows.append(ReportRow(*place, FASTER.format(words), "%", said, gain.percent))
             rows.append(ReportRow(*place, CHANCE.format(words), "", ours=gain.p))
     return rows
@@ -384,10 +373,10 @@ def _convergence(runs: Runs) -> list[ReportRow]:
 def _ablation(named: dict[str, list[SeedResult]]) -> list[ReportRow]:
     from metropilot.studies.lu2023.learning import IMPROVEMENTS
 
-    rows = _episode_rows(ABLATION, ABLATED, "improved_dqn", named[f"improved_dqn-{ABLATED}"])
+    rows = _episode_rows(setting.ABLATION, ABLATED, "improved_dqn", named[f"improved_dqn-{ABLATED}"])
     for off in IMPROVEMENTS:
         name = f"without-{off}"
-        rows += _episode_rows(ABLATION, ABLATED, name, named[f"{name}-{ABLATED}"])
+        rows += _episode_rows(setting.ABLATION, ABLATED, name, named[f"{name}-{ABLATED}"])
     return rows
 
 
@@ -396,7 +385,7 @@ def _short(runs: Runs) -> list[ReportRow]:
     rows = []
     for plan_id, learners in runs.items():
         for driver, results in learners.items():
-            place = ("Short learning", plan_case(plan_id).name, driver)
+            place = ("Short learning", setting.plan_case(plan_id).name, driver)
             kpi, scores = f"return after {QUICK_STEPS} steps", [r.score for r in results]
             rows.append(make_row(*place, kpi, "", scores))
     return rows
@@ -405,7 +394,7 @@ def _short(runs: Runs) -> list[ReportRow]:
 STUDY = Study(
     id="lu2023",
     title="Notch driving by improved DQN (Lu and Liu 2023)",
-    citation=CITATION,
+    citation=setting.CITATION,
     reproduce=reproduce,
     as_printed=AS_PRINTED,
     fixed_rows=fixed_rows,
