@@ -43,18 +43,9 @@ from metropilot.web.pages.watched import AbstractWatched
 from metropilot.web.schemas.requests import LiveIn, NewArrival, NewRestriction
 from metropilot.web.service import RESUMABLE, Service
 from metropilot.web.store import JobRow
+from metropilot.web.words import tables
 from metropilot.web.words.language import N_, _
 from metropilot.web.words.said import retell
-from metropilot.web.words.tables import (
-    check_rows,
-    explain_words,
-    hit_columns,
-    hit_rows,
-    number,
-    regime_columns,
-    regime_rows,
-    translate_kpis,
-)
 
 PACES = {1: N_("real time"), 2: "2 ×", 5: "5 ×", 10: "10 ×", 30: "30 ×"}
 READS = (
@@ -488,14 +479,14 @@ def explanation_card(driven: dict[str, Any]) -> None:
     """Show why a drive went as it did: regimes, what bound it, interventions, loss by regime."""
     told, kpis = driven["explanation"], driven["kpis"]
     with parts.card(_("Why does it drive so?")):
-        ui.label(explain_words(told, kpis)).classes("mp-soft").props('data-test="why"')
+        ui.label(tables.explain_words(told, kpis)).classes("mp-soft").props('data-test="why"')
         with ui.element("div").classes("mp-links"):
             for regime, colour in REGIME_COLOURS.items():
                 ui.label(retell(regime)).classes("mp-swatch").style(f"--mp-swatch: {colour}")
         parts.plot(explanation_figure(driven)).classes("mp-along").props('data-test="explanation"')
-        parts.table(regime_columns(), regime_rows(told), right=(4, 5, 6), name=_("Regimes"))
-        if hits := hit_rows(told):
-            parts.table(hit_columns(), hits, right=(3, 4, 5), name=_("Interventions"))
+        parts.table(*tables.regime_table(told), right=(4, 5, 6), name=_("Regimes"))
+        if told["interventions"]:
+            parts.table(*tables.hit_table(told), right=(3, 4, 5), name=_("Interventions"))
         show_prices(told.get("prices", []))
         show_decisions(told.get("decisions", []))
         ui.label(
@@ -513,11 +504,13 @@ def show_prices(prices: list[dict[str, Any]]) -> None:
         return
     rows = [
         (
-            number(price["position_m"], 0),
-            number(price["time_s"], 1),
-            number(price["second_w"] / J_PER_KWH, 3),
-            number(price["later_j"] / J_PER_KWH, 3),
-            _("not possible") if price["sooner_j"] is None else number(price["sooner_j"] / J_PER_KWH, 3),
+            tables.number(price["position_m"], 0),
+            tables.number(price["time_s"], 1),
+            tables.number(price["second_w"] / J_PER_KWH, 3),
+            tables.number(price["later_j"] / J_PER_KWH, 3),
+            _("not possible")
+            if price["sooner_j"] is None
+            else tables.number(price["sooner_j"] / J_PER_KWH, 3),
         )
         for price in prices
     ]
@@ -545,11 +538,11 @@ def show_decisions(decisions: list[dict[str, Any]]) -> None:
         return
     rows = [
         (
-            number(decision["position_m"], 0),
-            number(decision["time_s"], 1),
-            number(decision["output"] - decision["usual"], 2),
+            tables.number(decision["position_m"], 0),
+            tables.number(decision["time_s"], 1),
+            tables.number(decision["output"] - decision["usual"], 2),
             "; ".join(
-                f"{retell(share['words'])} {'+' if share['share'] >= 0 else ''}{number(share['share'])}"
+                f"{retell(share['words'])} {'+' * (share['share'] >= 0)}{tables.number(share['share'])}"
                 for share in decision["shares"][:STRONGEST]
             ),
         )
@@ -571,14 +564,14 @@ def checks_table(checks: list[dict[str, Any]]) -> None:
     """Show the requirements, passed or failed."""
     rows = [
         (*texts, (_("✓ passed"), "mp-pass") if passed else (_("✗ failed"), "mp-fail"))
-        for *texts, passed in check_rows(checks)
+        for *texts, passed in tables.check_rows(checks)
     ]
     parts.table((_("requirement"), _("measured"), _("allowed"), ""), rows, right=(1,), name=_("Requirements"))
 
 
 def kpis_table(k: dict[str, Any]) -> None:
     """Show the main KPIs."""
-    parts.table((_("KPI"), _("value"), ""), translate_kpis(k), right=(1,), name=_("KPIs"))
+    parts.table((_("KPI"), _("value"), ""), tables.translate_kpis(k), right=(1,), name=_("KPIs"))
 
 
 def install(service: Service) -> None:

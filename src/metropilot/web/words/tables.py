@@ -29,9 +29,9 @@ def translate_kpis(kpis: dict[str, Any]) -> list[tuple[str, str, str]]:
     ]
 
 
-def regime_columns() -> tuple[str, ...]:
-    """Headings of :func:`regime_rows`."""
-    return (
+def regime_table(told: dict[str, Any]) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
+    """Headings, and regimes of a drive: where, when, what bound it, energy, loss to trainset and driver."""
+    columns = (
         _("regime"),
         _("place (m)"),
         _("time (s)"),
@@ -40,11 +40,7 @@ def regime_columns() -> tuple[str, ...]:
         _("trainset"),
         _("driver"),
     )
-
-
-def regime_rows(told: dict[str, Any]) -> list[tuple[str, ...]]:
-    """Regimes of a drive: where, when, what bound it, energy and its loss to trainset and driver."""
-    return [
+    rows = [
         (
             retell(span["regime"]),
             f"{span['from_m']:.0f} – {span['to_m']:.0f}",
@@ -58,11 +54,12 @@ def regime_rows(told: dict[str, Any]) -> list[tuple[str, ...]]:
         )
         for span in told["regimes"]
     ]
+    return columns, rows
 
 
-def hit_columns() -> tuple[str, ...]:
-    """Headings of :func:`hit_rows`."""
-    return (
+def hit_table(told: dict[str, Any]) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
+    """Headings, and interventions of protection."""
+    columns = (
         _("guard"),
         _("place (m)"),
         _("time (s)"),
@@ -70,11 +67,7 @@ def hit_columns() -> tuple[str, ...]:
         _("permitted"),
         _("falls until (m)"),
     )
-
-
-def hit_rows(told: dict[str, Any]) -> list[tuple[str, ...]]:
-    """Interventions of protection."""
-    return [
+    rows = [
         (
             retell(hit["guard"]),
             f"{hit['from_m']:.0f} – {hit['to_m']:.0f}",
@@ -85,6 +78,7 @@ def hit_rows(told: dict[str, Any]) -> list[tuple[str, ...]]:
         )
         for hit in told["interventions"]
     ]
+    return columns, rows
 
 
 def explain_words(told: dict[str, Any], kpis: dict[str, Any]) -> str:

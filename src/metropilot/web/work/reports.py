@@ -14,11 +14,9 @@ from metropilot.units import J_PER_KWH, KMH_PER_MPS
 from metropilot.web.words.tables import (
     check_rows,
     explain_words,
-    hit_columns,
-    hit_rows,
+    hit_table,
     number,
-    regime_columns,
-    regime_rows,
+    regime_table,
     translate_kpis,
 )
 
@@ -229,10 +227,14 @@ def _provenance(folder: Path, present: dict[str, str]) -> dict[str, str]:
     return tomllib.loads(path.read_text(encoding="utf-8")).get("made_with", present)
 
 
-def _drive(sheets: Sheets, driven: dict[str, Any]) -> None:
-    sheets.heading("Requirements")
-    rows = [(*texts, "passed" if passed else "FAILED") for *texts, passed in check_rows(driven["checks"])]
+def _requirements(sheets: Sheets, title: str, checks: list[dict[str, Any]]) -> None:
+    sheets.heading(title)
+    rows = [(*texts, "passed" if passed else "FAILED") for *texts, passed in check_rows(checks)]
     sheets.table(("requirement", "measured", "allowed", ""), rows, (3, 2, 3, 1.2), right=(1,))
+
+
+def _drive(sheets: Sheets, driven: dict[str, Any]) -> None:
+    _requirements(sheets, "Requirements", driven["checks"])
     sheets.heading("KPIs")
     sheets.table(("KPI", "value", ""), translate_kpis(driven["kpis"]), (2.4, 1.4, 5.2), right=(1,))
     told = driven.get("explanation")
@@ -240,11 +242,11 @@ def _drive(sheets: Sheets, driven: dict[str, Any]) -> None:
         return
     sheets.heading("Why it drives so")
     sheets.paragraph(explain_words(told, driven["kpis"]))
-    sheets.table(regime_columns(), regime_rows(told), (1, 1.6, 1.6, 1.9, 1.5, 1.1, 1.1), right=(4, 5, 6))
+    sheets.table(*regime_table(told), (1, 1.6, 1.6, 1.9, 1.5, 1.1, 1.1), right=(4, 5, 6))
     sheets.paragraph("Trainset and driver: energy (kWh) lost in the regime against the optimal plan.")
-    if hits := hit_rows(told):
+    if told["interventions"]:
         sheets.heading("Interventions of protection")
-        sheets.table(hit_columns(), hits, (2, 1.5, 1.5, 1.3, 1.2, 1.5), right=(3, 4, 5))
+        sheets.table(*hit_table(told), (2, 1.5, 1.5, 1.3, 1.2, 1.5), right=(3, 4, 5))
 
 
 def _comparison(sheets: Sheets, result: dict[str, Any]) -> None:
@@ -264,10 +266,7 @@ def _comparison(sheets: Sheets, result: dict[str, Any]) -> None:
     sheets.table(columns, rows, shares, right=range(2, len(columns)))
     sheets.paragraph("Means over the seeds; gap: energy above the optimum for the time achieved.")
     for entry in result["entries"]:
-        sheets.heading(f"Requirements of {entry['driver']}")
-        met = check_rows(entry["drive"]["checks"])
-        rows = [(*texts, "passed" if passed else "FAILED") for *texts, passed in met]
-        sheets.table(("requirement", "measured", "allowed", ""), rows, (3, 2, 3, 1.2), right=(1,))
+        _requirements(sheets, f"Requirements of {entry['driver']}", entry["drive"]["checks"])
 
 
 def _journey(sheets: Sheets, journey: dict[str, Any]) -> None:
