@@ -16,18 +16,9 @@ import jax.numpy as jnp
 from metropilot._typing import Array
 from metropilot.env import AbstractTask
 from metropilot.learn import environments as env
-from metropilot.learn import learner
+from metropilot.learn import learner, networks
 from metropilot.learn.config import PPOConfig
 from metropilot.learn.losses import ppo as losses
-from metropilot.learn.networks import (
-    MLP,
-    categorical_entropy,
-    categorical_log_prob,
-    floored_std,
-    gaussian_entropy,
-    gaussian_log_prob,
-    mask_values,
-)
 from metropilot.learn.optimiser import AdamState, adam_init, adam_step
 from metropilot.learn.replay import RowLayout
 from metropilot.learn.schedules import value_at
@@ -94,8 +85,8 @@ class PPO(learner.AbstractLearner[PPOConfig]):
         sizes = (task.observation_size, *config.hidden)
         common: Any = {"activation": config.activation, "initialiser": config.initialiser}
         bias = config.initial_bias if self.continuous else 0.0
-        self.actor = MLP((*sizes, self.actions), output_scale=0.01, output_bias=bias, **common)
-        self.critic = MLP((*sizes, 1), **common)
+        self.actor = networks.MLP((*sizes, self.actions), output_scale=0.01, output_bias=bias, **common)
+        self.critic = networks.MLP((*sizes, 1), **common)
         columns = {"observation": sizes[0], "action": self.actions if self.continuous else 1}
         columns |= {"log_prob": 1, "advantage": 1, "target": 1}
         self.layout = RowLayout(tuple(columns.items()))
@@ -183,12 +174,12 @@ class PPO(learner.AbstractLearner[PPOConfig]):
         """
         output = network_output(self.spec, params, observation, jnp)
         if self.continuous:
-            std = floored_std(params["policy.log_std"], floor)
+            std = networks.floored_std(params["policy.log_std"], floor)
             action = output + std * draw
-            return action, gaussian_log_prob(action, output, std)
-        logits = mask_values(output, mask)
+            return action, networks.gaussian_log_prob(action, output, std)
+        logits = networks.mask_values(output, mask)
         choice = jnp.argmax(logits + draw).astype(jnp.int32)
-        return choice, categorical_log_prob(logits, choice)
+        return choice, networks.categorical_log_prob(logits, choice)
 
     def _density(
         self,
@@ -201,10 +192,12 @@ class PPO(learner.AbstractLearner[PPOConfig]):
         """Log probability of an action, shape (A,), and entropy, for one environment."""
         output = network_output(self.spec, params, observation, jnp)
         if self.continuous:
-            std = floored_std(params["policy.log_std"], floor)
-            return gaussian_log_prob(action, output, std), gaussian_entropy(std)
-        logits = mask_values(output, mask)
-        return categorical_log_prob(logits, action[0].astype(jnp.int32)), categorical_entropy(logits)
+            std = networks.floored_std(params["policy.log_std"], floor)
+            return networks.gaussian_log_prob(action, output, std), networks.gaussian_entropy(std)
+        logits = networks.mask_values(output, mask)
+        return networks.categorical_log_prob(
+            logits, action[0].astype(jnp.int32)
+        ), networks.categorical_entropy(logits)
 
     def _value(self, params: Params, observation: Array) -> Array:
         """The critic's value of one observation. Shape ()."""

@@ -23,15 +23,8 @@ import numpy as np
 from numpy import ndarray
 from numpy.random import Generator
 
-from metropilot import env, sim
+from metropilot import control, env, sim
 from metropilot._typing import Array, Flag, Float, Index, Int, Scalar, Shaped
-from metropilot.control import (
-    AT_ONCE_MPS3,
-    braking_distance,
-    braking_time,
-    build_up,
-    curve_for,
-)
 from metropilot.learn.config import TeacherConfig
 from metropilot.learn.imitation.demonstrations import Demonstrations
 from metropilot.learn.imitation.train_state import TrainState, apply_gradient, imitation_loss, labels
@@ -244,12 +237,12 @@ class ClosedLoop:
         run, _, _ = sim.control_period(params_of_run, fresh, None, choose, rule=sim.NEVER_ENDS)
         reached = run.plant._replace(speed_mps=jnp.maximum(run.plant.speed_mps, SLOWEST_MPS))
         planned = self._stop_deceleration(begin, case, reached.position_m)
-        curve = curve_for(vehicle, dt, planned, env.stop_options(self.assists.release))
-        v, jerk = reached.speed_mps, jnp.minimum(vehicle.jerk_mps3, AT_ONCE_MPS3)
-        quick, gone_m, build_s = build_up(v, reached.acceleration_mps2, planned, jerk)
+        curve = control.curve_for(vehicle, dt, planned, env.stop_options(self.assists.release))
+        v, jerk = reached.speed_mps, jnp.minimum(vehicle.jerk_mps3, control.AT_ONCE_MPS3)
+        quick, gone_m, build_s = control.build_up(v, reached.acceleration_mps2, planned, jerk)
         quick = jnp.maximum(quick, LEAST_STOP_MPS)
-        distance = gone_m + braking_distance(quick, curve)
-        duration = build_s + braking_time(quick, curve)
+        distance = gone_m + control.braking_distance(quick, curve)
+        duration = build_s + control.braking_time(quick, curve)
         left = case.length_m - reached.position_m
         return _Moving(
             run=run._replace(plant=reached),

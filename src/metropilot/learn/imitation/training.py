@@ -18,16 +18,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from metropilot import env
 from metropilot._typing import Array
-from metropilot.env import (
-    DomainRandomization,
-    DomainSample,
-    DrivingTask,
-    RegimeAction,
-    SectionRows,
-    check_features,
-    domain_sample,
-)
 from metropilot.errors import InputError
 from metropilot.learn.compile_cache import keep_compiled
 from metropilot.learn.config import TeacherConfig
@@ -98,18 +90,20 @@ def _begin(train_state: TrainState) -> Standing:
     return Standing(train_state, dict(train_state.params), jnp.full((), -jnp.inf, jnp.float32))
 
 
-def require_random_sections(task: DrivingTask) -> None:
+def require_random_sections(task: env.DrivingTask) -> None:
     """Refuse a task for which there are no demonstrations.
 
     Raises:
         InputError: Its sections are not random, or its policy's action is no share of effort.
     """
-    if not (isinstance(task.config, DomainRandomization) and isinstance(task.config.action, RegimeAction)):
+    if not (
+        isinstance(task.config, env.DomainRandomization) and isinstance(task.config.action, env.RegimeAction)
+    ):
         raise InputError("demonstrations exist only for random sections", field="task", allowed="worlds")
 
 
 def train_in_parts(
-    config: TeacherConfig, task: DrivingTask, seed: int, options: TrainingOptions
+    config: TeacherConfig, task: env.DrivingTask, seed: int, options: TrainingOptions
 ) -> TrainingResult:
     """Train the generalist, with progress and checkpoints.
 
@@ -124,7 +118,7 @@ def train_in_parts(
             policy is no share of effort.
     """
     require_random_sections(task)
-    check_features(config.unseen, FEATURE_NAMES, "unseen")
+    env.check_features(config.unseen, FEATURE_NAMES, "unseen")
     if options.evaluate is None:
         raise InputError("the course is judged by drives", field="evaluate")
     keep_compiled()
@@ -139,7 +133,7 @@ class _Training:
     """One session of the training."""
 
     config: TeacherConfig
-    task: DrivingTask
+    task: env.DrivingTask
     seed: int
     options: TrainingOptions
     folder: Path
@@ -181,7 +175,7 @@ class _Training:
         state = new_train_state(self.config, self.seed, observations)
         if not self.config.unseen:
             return state
-        names = DemonstrationGenerator(domain_sample(self.seed, 0), 1.0).column_names()
+        names = DemonstrationGenerator(env.domain_sample(self.seed, 0), 1.0).column_names()
         return hide_features(state, [name in self.config.unseen for name in names])
 
     def _collect(self, dataset: DemonstrationSet) -> None:
@@ -207,7 +201,7 @@ class _Training:
     def _parts(self, demonstrations: Demonstrations, numbers: np.ndarray) -> Part:
         config, spec = self.config, imitation_spec(self.config, demonstrations.observations.shape[1])
         action = self.task.config.action
-        assert isinstance(action, RegimeAction)
+        assert isinstance(action, env.RegimeAction)
         wanted = labels(action, demonstrations.commands)
         tuning: list[Tuning] = []
 
@@ -217,7 +211,8 @@ class _Training:
                 return self._imitate(number, train_state, random, demonstrations.observations, wanted)
             if not tuning:
                 samples = {
-                    int(k): domain_sample(self.seed, int(k), config.wide_share) for k in np.unique(numbers)
+                    int(k): env.domain_sample(self.seed, int(k), config.wide_share)
+                    for k in np.unique(numbers)
                 }
                 short = np.array([samples[int(k)].section.length_m <= LONGEST_M for k in numbers])
                 loop, case = self._loop(samples, numbers[short])
@@ -287,7 +282,7 @@ class _Training:
         return max(config.steps // config.decisions // config.evaluations, 1)
 
     def _loop(
-        self, samples: Mapping[int, DomainSample], numbers: np.ndarray
+        self, samples: Mapping[int, env.DomainSample], numbers: np.ndarray
     ) -> tuple[ClosedLoop, np.ndarray]:
         """Closed loop over the sections' tables, and the row in them at which each drive begins.
 
@@ -302,11 +297,11 @@ class _Training:
             spacing_m=SPACING_M,
         )
         action = config.action
-        assert isinstance(action, RegimeAction)
+        assert isinstance(action, env.RegimeAction)
         tables = config.tables(jobs=0)
         at_once = np.zeros_like(tables.vehicle.delay_s)
         tables = tables._replace(vehicle=tables.vehicle._replace(delay_s=at_once, lag_s=at_once))
-        rows = SectionRows(tables, jax=True)
+        rows = env.SectionRows(tables, jax=True)
         period_s = config.dt * config.periods
         return ClosedLoop(rows, config.features, action, config.assists, period_s), case.astype(np.int32)
 

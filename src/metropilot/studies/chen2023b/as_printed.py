@@ -20,18 +20,9 @@ from metropilot.convoy import (
     FollowPidOptions,
 )
 from metropilot.physics import Vehicle
+from metropilot.studies.chen2023b import learning
 from metropilot.studies.chen2023b.drivers import AbstractGainFollower, FollowPolicyOptions
 from metropilot.studies.chen2023b.figures import draw_gains, draw_returns
-from metropilot.studies.chen2023b.learning import (
-    ETAS,
-    FIRST_RETURN,
-    LAST_RETURN,
-    NAMES,
-    STEPS,
-    config,
-    first_and_last,
-    make_evaluation,
-)
 from metropilot.studies.chen2023b.setting import FIGURES, HEAD_CASE, drive_pair, drive_rows, pair
 from metropilot.studies.learning import LearnJob, SeedResult
 from metropilot.studies.report import Figure, PrintedSetting, ReportRow, make_row
@@ -57,7 +48,7 @@ CONTACTS = "drives with a contact"
 
 def literal_task(eta: str = "paper") -> ConvoyTask:
     """The paper's task: eqs. 18 and 19, one head, from standstill, undisturbed."""
-    speed, gap = ETAS[eta]
+    speed, gap = learning.ETAS[eta]
     return ConvoyTask(
         ConvoyTaskConfig(heads=1, eta_speed=speed, eta_gap=gap, rewarded_gap_m=REWARDED[eta], on_the_way=0.0)
     )
@@ -66,7 +57,7 @@ def literal_task(eta: str = "paper") -> ConvoyTask:
 def literal_config(algorithm: str, budget: str) -> AbstractConfig:
     """The study's learner over the episodes of the budget."""
     return replace(
-        config(algorithm, "quick"),
+        learning.config(algorithm, "quick"),
         steps=EPISODES[budget] * PERIODS,
         evaluations=4 if budget == "quick" else 16,
         environments=ENVIRONMENTS[budget],
@@ -83,10 +74,10 @@ def jobs(seeds: Iterable[int], budget: str) -> list[LearnJob]:
             literal_config(algorithm, budget),
             partial(literal_task, eta),
             seed,
-            partial(make_evaluation, algorithm, "quick"),
+            partial(learning.make_evaluation, algorithm, "quick"),
             {"eta": eta, "rewarded_gap_m": REWARDED[eta]},
         )
-        for algorithm, name in NAMES.items()
+        for algorithm, name in learning.NAMES.items()
         for eta in REWARDED
         for seed in seeds
     ]
@@ -124,7 +115,7 @@ def measure(order: Order) -> LiteralRun:
     seeds = order.choose_seeds(quick=SEEDS["quick"], paper=SEEDS["paper"])[: SEEDS[order.budget]]
     groups: dict[tuple[str, str], list[SeedResult]] = {}
     for result in order.learn(jobs(seeds, order.budget)):
-        key = NAMES[result.job.config.algorithm], str(result.job.about["eta"])
+        key = learning.NAMES[result.job.config.algorithm], str(result.job.about["eta"])
         groups.setdefault(key, []).append(result)
     rows: list[ReportRow] = []
     gains: dict[tuple[str, str], list[np.ndarray]] = {}
@@ -132,10 +123,14 @@ def measure(order: Order) -> LiteralRun:
         recorded = [_record_gains(name, order, result) for result in results]
         rows += _rows(name, _case(eta), [drive_pair(each, guard="none") for each in recorded])
         said = partial(make_row, FIGURES, _case(eta), name)
-        ends = [first_and_last(result) for result in results if np.isfinite(result.history["return"]).any()]
+        ends = [
+            learning.first_and_last(result)
+            for result in results
+            if np.isfinite(result.history["return"]).any()
+        ]
         if ends:
             first, last = zip(*ends, strict=True)
-            rows += [said(FIRST_RETURN, "", first), said(LAST_RETURN, "", last)]
+            rows += [said(learning.FIRST_RETURN, "", first), said(learning.LAST_RETURN, "", last)]
         gains[name, eta] = [np.array(each.gains) for each in recorded]
     constant = drive_pair(FOLLOWERS.make("follow_pid", options=UPPER), guard="none")
     rows += _rows("follow_pid", UPPER_CASE, [constant])
@@ -174,7 +169,7 @@ def _remarks(rows: Sequence[ReportRow], seeds: int, budget: str) -> list[str]:
     ]
     for eta in REWARDED:
         said = []
-        for name in NAMES.values():
+        for name in learning.NAMES.values():
             crashed = [one > 0.0 for one in value[_case(eta), name, CONTACTS].values]
             largest = value[_case(eta), name, "largest gap"].values
             smallest = value[_case(eta), name, "smallest gap"].values
@@ -185,7 +180,7 @@ def _remarks(rows: Sequence[ReportRow], seeds: int, budget: str) -> list[str]:
             ]
             kept = f", gap errors without one {min(errors):.3f} to {max(errors):.3f} m" if errors else ""
             said.append(f"`{name}`: contact in {sum(crashed)} of {seeds}{kept}")
-        speed, gap = ETAS[eta]
+        speed, gap = learning.ETAS[eta]
         found.append(f"With eta of {speed:g} and {gap:g}, policies without protection: {'; '.join(said)}.")
     upper = f"{HEAD_CASE}, the printed upper gains"
     low, high = (
@@ -228,7 +223,7 @@ SETTINGS = (
     PrintedSetting(
         "eta 1 and 2 (Table 1)",
         "1000, 1000",
-        ", ".join(f"{eta:g}" for eta in ETAS["soft"]),
+        ", ".join(f"{eta:g}" for eta in learning.ETAS["soft"]),
         f"as printed; *soft eta* is learned with this study's, which reward {GAP_M:g} m most.",
     ),
     PrintedSetting(
@@ -259,7 +254,7 @@ SETTINGS = (
     PrintedSetting(
         "episodes",
         f"{EPISODES['paper']:,}",
-        f"{STEPS['paper']:,} control periods, about {STEPS['paper'] // PERIODS}",
+        f"{learning.STEPS['paper']:,} control periods, about {learning.STEPS['paper'] // PERIODS}",
         f"{EPISODES['paper']:,} (quick: {EPISODES['quick']}), {ENVIRONMENTS['paper']} side by side.",
     ),
     PrintedSetting(

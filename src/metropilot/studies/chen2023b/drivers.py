@@ -8,16 +8,10 @@ from typing import final, no_type_check
 
 import numpy as np
 
+from metropilot import convoy
 from metropilot._schema import declare
 from metropilot._typing import Scalar
 from metropilot.control import Errors, Gains
-from metropilot.convoy import (
-    AbstractFollower,
-    FollowerObservation,
-    chen2023b_state,
-    gains_of,
-    pid_step,
-)
 from metropilot.errors import InputError
 from metropilot.physics import Vehicle, namespace, scalars
 from metropilot.policy import Policy, load_policy, policy_path, shipped_policy
@@ -38,7 +32,7 @@ class FollowPolicyOptions:
     policy: str = declare("")
 
 
-class AbstractGainFollower(AbstractFollower):
+class AbstractGainFollower(convoy.AbstractFollower):
     """PID on the speed difference whose gains a policy sets anew in every period.
 
     Args:
@@ -77,17 +71,19 @@ class AbstractGainFollower(AbstractFollower):
         return Errors(zero, zero)
 
     @no_type_check
-    def choose_gains(self, observation: FollowerObservation) -> Gains:
+    def choose_gains(self, observation: convoy.FollowerObservation) -> Gains:
         """Gains that the policy sets."""
         xp = namespace(observation.position_m, observation.gap_m)
         xp = np if xp is scalars else xp
         policy = self.policy
-        return gains_of(policy_act(policy.spec, policy.params, chen2023b_state(observation), None, xp))
+        return convoy.gains_of(
+            policy_act(policy.spec, policy.params, convoy.chen2023b_state(observation), None, xp)
+        )
 
     @no_type_check
-    def act(self, memory: Errors, observation: FollowerObservation) -> tuple[Scalar, Errors]:
+    def act(self, memory: Errors, observation: convoy.FollowerObservation) -> tuple[Scalar, Errors]:
         """Set the gains by the policy and evaluate the PID."""
-        return pid_step(observation, self.choose_gains(observation), memory)
+        return convoy.pid_step(observation, self.choose_gains(observation), memory)
 
 
 @final

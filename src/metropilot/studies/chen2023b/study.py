@@ -10,18 +10,10 @@ import numpy as np
 
 from metropilot.convoy import FOLLOWERS, GAP_M, AbstractFollower
 from metropilot.errors import InputError
-from metropilot.studies.chen2023b import beyond
+from metropilot.studies.chen2023b import beyond, learning
 from metropilot.studies.chen2023b.as_printed import AS_PRINTED
 from metropilot.studies.chen2023b.drivers import FollowPolicyOptions
 from metropilot.studies.chen2023b.figures import figures
-from metropilot.studies.chen2023b.learning import (
-    ETAS,
-    FIRST_RETURN,
-    LAST_RETURN,
-    NAMES,
-    first_and_last,
-    jobs,
-)
 from metropilot.studies.chen2023b.setting import (
     CITATION,
     HEAD_CASE,
@@ -130,8 +122,8 @@ def _text(gap: tuple[float, float]) -> str:
 def _ddpg(gap: Mapping[str, tuple[float, float]], value: Found) -> str:
     inside = "within" if _inside(gap["ddpg_pid_follow"]) else "outside"
     said = f"DDPG-PID's gap is {_text(gap['ddpg_pid_follow'])}, {inside} the band published for SAC-PID"
-    first = value.get(("ddpg_pid_follow", FIRST_RETURN))
-    last = value.get(("ddpg_pid_follow", LAST_RETURN))
+    first = value.get(("ddpg_pid_follow", learning.FIRST_RETURN))
+    last = value.get(("ddpg_pid_follow", learning.LAST_RETURN))
     if first is None or last is None:
         return f"{said}."
     word = "rises" if last > first else "falls"
@@ -164,7 +156,7 @@ def reproduce(order: Order) -> StudyReport:
     drives = {name: [drive_pair(each) for each in each_seed] for name, each_seed in drivers.items()}
     rows = [row for name, each in drives.items() for row in drive_rows(name, each)]
     rows += _learning_rows(runs, order.budget)
-    median = {NAMES[algorithm]: median_of(each) for algorithm, each in runs.items()}
+    median = {learning.NAMES[algorithm]: median_of(each) for algorithm, each in runs.items()}
     first = {name: each[median.get(name, 0)] for name, each in drivers.items()}
     shown = {name: each[median.get(name, 0)] for name, each in drives.items()}
     order.say("disturbing")
@@ -188,11 +180,15 @@ def _learn(order: Order, seeds: range) -> dict[str, list[SeedResult]]:
     """Do the learning runs of all seeds, or read those that the folder already holds."""
     from metropilot.studies.learning import is_done
 
-    todo = [job for name in NAMES for job in jobs(name, order.budget, order.options["eta"], seeds)]
+    todo = [
+        job
+        for name in learning.NAMES
+        for job in learning.jobs(name, order.budget, order.options["eta"], seeds)
+    ]
     if order.options["learn"] == "nothing":
         todo = [job for job in todo if is_done(job, order.folder)]
     found = order.learn(todo)
-    runs = {name: [run for run in found if run.job.config.algorithm == name] for name in NAMES}
+    runs = {name: [run for run in found if run.job.config.algorithm == name] for name in learning.NAMES}
     for name, each in runs.items():
         if not each:
             raise InputError("no learning run is there", file=order.folder, field="learn", value=name)
@@ -210,7 +206,7 @@ def _missing_seeds(runs: dict[str, list[SeedResult]], seeds: range) -> list[str]
     if all(len(each) == len(seeds) for each in runs.values()):
         return []
     there = " and ".join(
-        f"{len(each)} of {NAMES[name]} (seeds {', '.join(str(run.job.seed) for run in each)})"
+        f"{len(each)} of {learning.NAMES[name]} (seeds {', '.join(str(run.job.seed) for run in each)})"
         for name, each in runs.items()
     )
     return [f"Of {len(seeds)} learning runs each these were done when the page was written: {there}."]
@@ -224,7 +220,7 @@ def _uses_shipped(order: Order) -> bool:
 def _drivers(order: Order, runs: dict[str, list[SeedResult]]) -> dict[str, list[AbstractFollower]]:
     """Make every follower: learned ones as shipped or one per seed, the others once."""
     made: dict[str, list[AbstractFollower]] = {}
-    for algorithm, name in NAMES.items():
+    for algorithm, name in learning.NAMES.items():
         paths = (
             [""] if _uses_shipped(order) else [str(order.folder / run.job.run_id) for run in runs[algorithm]]
         )
@@ -235,12 +231,12 @@ def _drivers(order: Order, runs: dict[str, list[SeedResult]]) -> dict[str, list[
 def _learning_rows(runs: dict[str, list[SeedResult]], budget: str) -> list[ReportRow]:
     rows = []
     for algorithm, each in runs.items():
-        row = partial(make_row, "Figs. 3 to 6", budget, NAMES[algorithm])
+        row = partial(make_row, "Figs. 3 to 6", budget, learning.NAMES[algorithm])
         errors = [float(np.nanmin(run.history["evaluation.gap_error_m"])) for run in each]
         rows += [
             row("mean largest gap error behind 24 heads", "m", errors),
-            row(FIRST_RETURN, "", [first_and_last(run)[0] for run in each]),
-            row(LAST_RETURN, "", [first_and_last(run)[1] for run in each]),
+            row(learning.FIRST_RETURN, "", [learning.first_and_last(run)[0] for run in each]),
+            row(learning.LAST_RETURN, "", [learning.first_and_last(run)[1] for run in each]),
             row("learning time, one core", "s", [run.seconds for run in each]),
             row("compilation", "s", [run.compile_seconds for run in each]),
         ]
@@ -252,6 +248,6 @@ STUDY = Study(
     title="Chen et al. 2023: train tracking in virtual coupling",
     citation=CITATION,
     reproduce=reproduce,
-    options={"eta": tuple(ETAS), "learn": ("missing", "nothing")},
+    options={"eta": tuple(learning.ETAS), "learn": ("missing", "nothing")},
     as_printed=AS_PRINTED,
 )

@@ -7,17 +7,9 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import ClassVar, final
 
+from metropilot import drivers
 from metropilot._schema import declare
 from metropilot.control import Errors
-from metropilot.drivers import (
-    AbstractNetworkDriver,
-    AbstractTracker,
-    AbstractTrackingOptions,
-    FeatureSpan,
-    NetworkView,
-    PolicyFunction,
-    TrackingView,
-)
 from metropilot.env import FEATURE_WORDS
 from metropilot.policy import GuardedPolicy, policy_path, shipped_policy
 from metropilot.sim import Run
@@ -29,7 +21,7 @@ WORDS = {**FEATURE_WORDS, "speed_error": "speed error", "position_error": "posit
 
 @final
 @dataclass(frozen=True)
-class DdpgPidOptions(AbstractTrackingOptions):
+class DdpgPidOptions(drivers.AbstractTrackingOptions):
     """Options of ``ddpg-pid``: the reference and the policy that sets the gains.
 
     Attributes:
@@ -40,7 +32,7 @@ class DdpgPidOptions(AbstractTrackingOptions):
 
 
 @final
-class DdpgPid(AbstractTracker, AbstractNetworkDriver):
+class DdpgPid(drivers.AbstractTracker, drivers.AbstractNetworkDriver):
     """Tracks a reference with gains that a policy learned to set.
 
     Args:
@@ -64,17 +56,17 @@ class DdpgPid(AbstractTracker, AbstractNetworkDriver):
         return load_tracking_policy(self.path, PAPER_LAW)
 
     @cached_property
-    def gains(self) -> PolicyFunction:
+    def gains(self) -> drivers.PolicyFunction:
         """The function that sets the gains: the policy."""
         return self.policy
 
-    def network_view(self, run: Run) -> NetworkView:
+    def network_view(self, run: Run) -> drivers.NetworkView:
         """The network, and the errors that it sees; the proportional gain counts."""
         del run
-        spans = (FeatureSpan(name, WORDS[name], 1) for name in PAPER_LAW.observed)
-        return NetworkView(self.policy.policy, tuple(spans), "a higher proportional gain", 0)
+        spans = (drivers.FeatureSpan(name, WORDS[name], 1) for name in PAPER_LAW.observed)
+        return drivers.NetworkView(self.policy.policy, tuple(spans), "a higher proportional gain", 0)
 
-    def with_policy(self, policy: PolicyFunction) -> DdpgPid:
+    def with_policy(self, policy: drivers.PolicyFunction) -> DdpgPid:
         """The same driver with another function in the place of its policy."""
         found = copy(self)
         found.gains = policy
@@ -88,7 +80,7 @@ class DdpgPid(AbstractTracker, AbstractNetworkDriver):
         """Read the policy that sets the gains."""
         return self.policy
 
-    def control(self, memory: Errors, seen: TrackingView) -> tuple[float, Errors]:
+    def control(self, memory: Errors, seen: drivers.TrackingView) -> tuple[float, Errors]:
         """One period: the policy's gains, then the law."""
         command, memory = PAPER_LAW.drive(self.gains, seen, memory)
         return float(command), memory

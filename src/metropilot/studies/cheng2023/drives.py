@@ -11,20 +11,9 @@ from typing import Any
 import numpy as np
 
 from metropilot.control import CHENG2023_GAINS, Errors, Gains, incremental_pid
+from metropilot.studies.cheng2023 import neural_pid, residual
 from metropilot.studies.cheng2023.fuzzy_pid import ASSUMED_UNIVERSES, Universes, step_fuzzy_pid
 from metropilot.studies.cheng2023.law import PAPER_LAW, TrackingLaw
-from metropilot.studies.cheng2023.neural_pid import (
-    TEXTBOOK_RATES,
-    LearningRates,
-    fresh_network,
-    step_neural_pid,
-)
-from metropilot.studies.cheng2023.residual import (
-    PlacedGains,
-    placed_gains,
-    residual_law,
-    step_fed_pid,
-)
 from metropilot.studies.cheng2023.setting import KPIS, NAMES, TABLE_1, optimal_kwh
 from metropilot.studies.cheng2023.tracking import TrackingController, TrackingKpis
 from metropilot.studies.report import ReportRow, make_row
@@ -84,9 +73,9 @@ def position_pid_control(gains: Gains, position_per_s: Any) -> Start:  # noqa: A
     return control, NO_ERRORS
 
 
-def fed_pid_control(placed: PlacedGains) -> Start:
+def fed_pid_control(placed: residual.PlacedGains) -> Start:
     """PID with fixed gains on speed and position error, beside feed-forward."""
-    return lambda memory, seen: step_fed_pid(placed, seen, memory), NO_ERRORS
+    return lambda memory, seen: residual.step_fed_pid(placed, seen, memory), NO_ERRORS
 
 
 def fuzzy_control(gains: Gains, universes: Universes) -> Start:
@@ -98,9 +87,9 @@ def fuzzy_control(gains: Gains, universes: Universes) -> Start:
     return control, NO_ERRORS
 
 
-def neural_control(gains: Gains, rates: LearningRates, seed: int) -> Start:
+def neural_control(gains: Gains, rates: neural_pid.LearningRates, seed: int) -> Start:
     """PID with gains from a network that learns online."""
-    return partial(step_neural_pid, rates=rates), fresh_network(seed, gains)
+    return partial(neural_pid.step_neural_pid, rates=rates), neural_pid.fresh_network(seed, gains)
 
 
 def policy_control(law: TrackingLaw, policy: Callable[[Any], Any]) -> Start:
@@ -120,20 +109,22 @@ def controllers_to_compare(
         policies: One policy per seed that sets gains.
         corrections: One per seed that corrects the PID beside feed-forward that they were learned with.
     """
-    corrected = residual_law(placed_gains(TUNED_FED_PID))
+    corrected = residual.residual_law(residual.placed_gains(TUNED_FED_PID))
     by_hand, p, f, n = CHENG2023_GAINS, tuned["pid"], tuned["fuzzy_pid"], tuned["neural_pid"]
     placed = tuned[POSITION_PID]
     universes = Universes(f["error_mps"], f["change_mps"], f["kp_span"], f["ki_span"], f["kd_span"])
-    rates = LearningRates(n["learning_rate"], n["momentum"], n["error_mps"])
+    rates = neural_pid.LearningRates(n["learning_rate"], n["momentum"], n["error_mps"])
     of_position = position_pid_control(_gains(placed), placed["position_per_s"])
     return (
         ComparedController("pid", "pid", lambda _: pid_control(by_hand)),
         ComparedController("pid tuned", "", lambda _: pid_control(_gains(p))),
         ComparedController(POSITION_PID, "", lambda _: of_position),
-        ComparedController(FED_PID, "", lambda _: fed_pid_control(placed_gains(tuned[FED_PID]))),
+        ComparedController(FED_PID, "", lambda _: fed_pid_control(residual.placed_gains(tuned[FED_PID]))),
         ComparedController("fuzzy_pid", "fuzzy_pid", lambda _: fuzzy_control(by_hand, ASSUMED_UNIVERSES)),
         ComparedController("fuzzy_pid tuned", "", lambda _: fuzzy_control(_gains(f), universes)),
-        ComparedController("neural_pid", "neural_pid", partial(neural_control, by_hand, TEXTBOOK_RATES)),
+        ComparedController(
+            "neural_pid", "neural_pid", partial(neural_control, by_hand, neural_pid.TEXTBOOK_RATES)
+        ),
         ComparedController("neural_pid tuned", "", partial(neural_control, _gains(n), rates)),
         ComparedController("ddpg_pid", "ddpg_pid", lambda seed: policy_control(PAPER_LAW, policies[seed])),
         ComparedController(RESIDUAL, "ddpg_pid", lambda seed: policy_control(corrected, corrections[seed])),

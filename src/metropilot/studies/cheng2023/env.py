@@ -13,15 +13,8 @@ from metropilot.drivers import TrackingView
 from metropilot.env import AbstractTask, ActionSpace, Transition
 from metropilot.errors import InputError
 from metropilot.physics import davis_n, effort_at
+from metropilot.studies.cheng2023 import tracking
 from metropilot.studies.cheng2023.law import PAPER_LAW, TrackingLaw
-from metropilot.studies.cheng2023.tracking import (
-    ReferenceCourse,
-    TrackState,
-    advance_tracking,
-    compile_course,
-    start_compiled,
-    tracking_view,
-)
 from metropilot.units import KMH_PER_MPS
 
 
@@ -75,7 +68,7 @@ class TrackingConfig:
             episode there.
     """
 
-    courses: tuple[ReferenceCourse, ...]
+    courses: tuple[tracking.ReferenceCourse, ...]
     law: TrackingLaw = PAPER_LAW
     rewards: TrackingRewards = TrackingRewards()
     limit_mps: float = 80 / KMH_PER_MPS
@@ -138,7 +131,7 @@ class TrackingState(NamedTuple):
         off_mps: Error of the measurement now.
     """
 
-    loop: TrackState
+    loop: tracking.TrackState
     course: Index
     noise_mps: Scalar
     off_mps: Scalar
@@ -158,10 +151,12 @@ class TrackingTask(AbstractTask):
         self.longest = max(course.periods for course in config.courses)
         import jax
 
-        padded = [compile_course(_pad(course, self.longest)) for course in config.courses]
-        self.courses: ReferenceCourse = jax.tree.map(lambda *leaves: jax.numpy.stack(leaves), *padded)
+        padded = [tracking.compile_course(_pad(course, self.longest)) for course in config.courses]
+        self.courses: tracking.ReferenceCourse = jax.tree.map(
+            lambda *leaves: jax.numpy.stack(leaves), *padded
+        )
 
-    def course(self, index: Index) -> ReferenceCourse:
+    def course(self, index: Index) -> tracking.ReferenceCourse:
         """One of the courses."""
         import jax
 
@@ -172,12 +167,12 @@ class TrackingTask(AbstractTask):
         import jax.numpy as jnp
 
         none = jnp.float32(0.0)
-        state = TrackingState(start_compiled(), jnp.asarray(index, jnp.int32), none, none)
+        state = TrackingState(tracking.start_compiled(), jnp.asarray(index, jnp.int32), none, none)
         return state, self._observe(state)
 
     def _view(self, state: TrackingState) -> TrackingView:
         """Inputs of the law: the speed as it is measured."""
-        seen = tracking_view(self.course(state.course), state.loop)
+        seen = tracking.tracking_view(self.course(state.course), state.loop)
         return seen._replace(
             error_mps=seen.error_mps - state.off_mps, speed_mps=seen.speed_mps + state.off_mps
         )
@@ -208,7 +203,7 @@ class TrackingTask(AbstractTask):
             time_s=k.astype(jnp.float32) * course.dt,
         )
         error = course.speed_mps[k] - speed
-        moving = TrackState(plant, command, Errors(error, error), k)
+        moving = tracking.TrackState(plant, command, Errors(error, error), k)
         on_the_way = jax.random.uniform(share) < config.on_the_way
         loop = jax.tree.map(lambda a, b: jnp.where(on_the_way, a, b), moving, state.loop)
         noise = config.noise_mps * jax.random.uniform(jax.random.fold_in(key, 1))
@@ -224,8 +219,8 @@ class TrackingTask(AbstractTask):
 
         config, course = self.config, self.course(state.course)
         command, errors = config.law.step(action, self._view(state), state.loop.errors)
-        loop = advance_tracking(course, state.loop, command, errors)
-        after, plant, before = tracking_view(course, loop), loop.plant, state.loop.plant
+        loop = tracking.advance_tracking(course, state.loop, command, errors)
+        after, plant, before = tracking.tracking_view(course, loop), loop.plant, state.loop.plant
         unsafe = plant.speed_mps > config.limit_mps
         late = loop.period >= course.end
         stood = (plant.speed_mps <= 0) | (loop.period >= self.longest)
@@ -252,7 +247,7 @@ class TrackingTask(AbstractTask):
         return state, transition
 
 
-def _pad(course: ReferenceCourse, periods: int) -> ReferenceCourse:
+def _pad(course: tracking.ReferenceCourse, periods: int) -> tracking.ReferenceCourse:
     """A course held at its end up to a number of periods."""
     extra = periods - course.periods
     return course._replace(

@@ -9,19 +9,8 @@ from typing import Any
 import numpy as np
 
 from metropilot.physics import davis_n, effort_at
-from metropilot.studies.cheng2023 import drives as table
+from metropilot.studies.cheng2023 import drives, tracking
 from metropilot.studies.cheng2023.as_printed import AS_PRINTED
-from metropilot.studies.cheng2023.drives import (
-    FED_PID,
-    POSITION_PID,
-    RESIDUAL,
-    TUNED_FED_PID,
-    TUNED_POSITION_PID,
-    ComparedController,
-    Measured,
-    controllers_to_compare,
-    median,
-)
 from metropilot.studies.cheng2023.figures import figures
 from metropilot.studies.cheng2023.setting import (
     CITATION,
@@ -34,13 +23,6 @@ from metropilot.studies.cheng2023.setting import (
     TABLE_3,
     TABLE_4,
     course,
-)
-from metropilot.studies.cheng2023.tracking import (
-    JERK_WINDOW_S,
-    TrackingKpis,
-    TrackRecord,
-    track_course,
-    tracking_kpis,
 )
 from metropilot.studies.report import ReportRow, StudyReport, make_row, paragraphs
 from metropilot.studies.study import Order, Study
@@ -95,7 +77,7 @@ references and scenarios are not among them.
 
 
 RESIDUAL_KPIS = ("total speed error", "parking error", "total position error", "jerk over 2 s")
-RIVALS = ("pid tuned", POSITION_PID, FED_PID)
+RIVALS = ("pid tuned", drives.POSITION_PID, drives.FED_PID)
 """Drivers without learning, tuned as hard."""
 
 
@@ -106,7 +88,7 @@ def _claim(
 
 
 def _residual(scenario: int, table: str, kpi: str) -> Claim:
-    return _claim(scenario, table, kpi, f"as a residual, scenario {scenario}: {kpi}", driver=RESIDUAL)
+    return _claim(scenario, table, kpi, f"as a residual, scenario {scenario}: {kpi}", driver=drives.RESIDUAL)
 
 
 CLAIMS = (
@@ -139,7 +121,7 @@ CLAIMS = (
 )
 
 
-def find_shortfalls(measured: Measured) -> list[str]:
+def find_shortfalls(measured: drives.Measured) -> list[str]:
     """List the results of DDPG-PID that are worse than the published ones by more than rounding."""
     found, tables = [], {1: TABLE_1["ddpg_pid"], 2: TABLE_3[2], 3: TABLE_3[3], 4: TABLE_4[4], 5: TABLE_4[5]}
     for scenario, printed in tables.items():
@@ -147,9 +129,9 @@ def find_shortfalls(measured: Measured) -> list[str]:
         for (field, words, unit), number in zip(KPIS, printed, strict=True):
             if field == "energy_kwh":
                 continue
-            ours = median(measured["ddpg_pid", scenario], field)
+            ours = drives.median(measured["ddpg_pid", scenario], field)
             if name == "table 4" and field.endswith(("total_mps", "total_m")):
-                ours /= median(measured["ddpg_pid", scenario], "periods")
+                ours /= drives.median(measured["ddpg_pid", scenario], "periods")
             if ours > number + 0.005:
                 said = f"{ours:.3f} {unit}, published {number:.2f}"
                 found.append(f"{words} in scenario {scenario} ({name}): {said}")
@@ -171,10 +153,12 @@ def command_variation() -> tuple[float, float]:
     return float(np.abs(np.diff(commands, prepend=0.0, append=0.0)).sum()), float(np.abs(commands).sum())
 
 
-def remarks(measured: Measured, kind: str, tuned: Mapping[str, Mapping[str, float]]) -> tuple[str, ...]:
+def remarks(
+    measured: drives.Measured, kind: str, tuned: Mapping[str, Mapping[str, float]]
+) -> tuple[str, ...]:
     """Findings as sentences, from the medians over the seeds."""
     found = [
-        _compare_with_position(measured, tuned[POSITION_PID]),
+        _compare_with_position(measured, tuned[drives.POSITION_PID]),
         _compare_residual(measured),
         _compare_with_tuned(measured, tuned["pid"]),
     ]
@@ -185,10 +169,10 @@ def remarks(measured: Measured, kind: str, tuned: Mapping[str, Mapping[str, floa
     return tuple(found)
 
 
-def _compare_with_tuned(measured: Measured, gains: Mapping[str, float]) -> str:
+def _compare_with_tuned(measured: drives.Measured, gains: Mapping[str, float]) -> str:
     ours, other = measured["ddpg_pid", 1], measured["pid tuned", 1]
-    speed, against = median(ours, "speed_total_mps"), median(other, "speed_total_mps")
-    place, behind = median(ours, "position_total_m"), median(other, "position_total_m")
+    speed, against = drives.median(ours, "speed_total_mps"), drives.median(other, "speed_total_mps")
+    place, behind = drives.median(ours, "position_total_m"), drives.median(other, "position_total_m")
     verdict = "is beaten by DDPG-PID" if speed < against else "beats DDPG-PID"
     return (
         f"A tuned PID (constant gains {gains['kp']:.2f}, {gains['ki']:.2f}, {gains['kd']:.2f}: "
@@ -197,12 +181,12 @@ def _compare_with_tuned(measured: Measured, gains: Mapping[str, float]) -> str:
     )
 
 
-def _compare_with_position(measured: Measured, gains: Mapping[str, float]) -> str:
+def _compare_with_position(measured: drives.Measured, gains: Mapping[str, float]) -> str:
     fields = tuple((field, words, unit) for field, words, unit in KPIS if field != "energy_kwh")
-    ours, other = measured["ddpg_pid", 1], measured[POSITION_PID, 1]
-    better = [words for field, words, _ in fields if median(ours, field) < median(other, field)]
+    ours, other = measured["ddpg_pid", 1], measured[drives.POSITION_PID, 1]
+    better = [words for field, words, _ in fields if drives.median(ours, field) < drives.median(other, field)]
     numbers = "; ".join(
-        f"{words} {median(other, field):.3g} against {median(ours, field):.3g} {unit}"
+        f"{words} {drives.median(other, field):.3g} against {drives.median(ours, field):.3g} {unit}"
         for field, words, unit in fields
     )
     return (
@@ -214,20 +198,21 @@ def _compare_with_position(measured: Measured, gains: Mapping[str, float]) -> st
     )
 
 
-def _compare_residual(measured: Measured) -> str:
+def _compare_residual(measured: drives.Measured) -> str:
     """Count in how many quantities of all scenarios the residual is better than each PID, by medians."""
     fields = [field for field, *_ in KPIS if field != "energy_kwh"]
     told = []
-    for other in (POSITION_PID, FED_PID):
+    for other in (drives.POSITION_PID, drives.FED_PID):
         better = sum(
-            median(measured[RESIDUAL, scenario], field) < median(measured[other, scenario], field)
+            drives.median(measured[drives.RESIDUAL, scenario], field)
+            < drives.median(measured[other, scenario], field)
             for scenario in SCENARIOS
             for field in fields
         )
         told.append(f"{other} in {better}")
     numbers = "; ".join(
-        f"{words} {median(measured[RESIDUAL, 1], field):.3g} {unit} "
-        f"({FED_PID} {median(measured[FED_PID, 1], field):.3g})"
+        f"{words} {drives.median(measured[drives.RESIDUAL, 1], field):.3g} {unit} "
+        f"({drives.FED_PID} {drives.median(measured[drives.FED_PID, 1], field):.3g})"
         for field, words, unit in KPIS
         if field != "energy_kwh"
     )
@@ -237,9 +222,11 @@ def _compare_residual(measured: Measured) -> str:
     )
 
 
-def _why(measured: Measured) -> str:
+def _why(measured: drives.Measured) -> str:
     """Bounds on the errors that follow from eq. 15."""
-    fixed, against = (median(measured[driver, 1], "speed_total_mps") for driver in ("pid", "pid tuned"))
+    fixed, against = (
+        drives.median(measured[driver, 1], "speed_total_mps") for driver in ("pid", "pid tuned")
+    )
     variation, size = command_variation()
     return (
         "The reason: with constant gains the command of eq. 15 is ki times the sum of the errors, so "
@@ -257,7 +244,7 @@ def _jerk() -> str:
     change = np.abs(np.diff(course().speed_mps)).max() / DT_S
     return (
         f"The reference itself changes its acceleration by {change:.2f} m/s2 within 2 s, "
-        f"{change / JERK_WINDOW_S:.2f} m/s3 by the paper's measure: no driver that follows it can "
+        f"{change / tracking.JERK_WINDOW_S:.2f} m/s3 by the paper's measure: no driver that follows it can "
         "reach the published 0.39. The gentler reference among the others (0.75 m/s2) allows it."
     )
 
@@ -273,14 +260,14 @@ def reproduce(order: Order) -> StudyReport:
     """
     kind = order.options["reference"]
     policies, corrections, tuned = _load_or_learn(order)
-    controllers = controllers_to_compare(tuned, policies, corrections)
+    controllers = drives.controllers_to_compare(tuned, policies, corrections)
     measured, records = _track_all(controllers, kind, tuple(policies))
     published = {c.driver: c.published if kind == "s_curve" else "" for c in controllers}
     found = [
-        *table.table_1(measured, published),
-        *table.other_scenarios("Table 3", TABLE_3, measured),
-        *table.other_scenarios("Table 4", TABLE_4, measured, average=True),
-        *table.margins(measured),
+        *drives.table_1(measured, published),
+        *drives.other_scenarios("Table 3", TABLE_3, measured),
+        *drives.other_scenarios("Table 4", TABLE_4, measured, average=True),
+        *drives.margins(measured),
         *_other_reference_rows(controllers, tuple(policies), kind),
     ]
     order.say(f"{len(controllers)} drivers tracked {len(SCENARIOS)} scenarios")
@@ -308,12 +295,12 @@ def _load_or_learn(order: Order) -> tuple[Policies, Policies, Mapping[str, Mappi
 
         tuned = {
             "pid": TUNED_PID,
-            POSITION_PID: TUNED_POSITION_PID,
-            FED_PID: TUNED_FED_PID,
+            drives.POSITION_PID: drives.TUNED_POSITION_PID,
+            drives.FED_PID: drives.TUNED_FED_PID,
             "fuzzy_pid": TUNED_FUZZY_PID,
             "neural_pid": TUNED_NEURAL_PID,
         }
-        corrected = residual_law(placed_gains(TUNED_FED_PID))
+        corrected = residual_law(placed_gains(drives.TUNED_FED_PID))
         policies: Policies = {0: load_tracking_policy(shipped_policy("ddpg_pid"), PAPER_LAW)}
         return policies, {0: load_tracking_policy(CORRECTIONS, corrected)}, tuned
     from metropilot.studies.cheng2023.learning import SEEDS, jobs, residual_jobs
@@ -323,23 +310,23 @@ def _load_or_learn(order: Order) -> tuple[Policies, Policies, Mapping[str, Mappi
     results = order.learn([*jobs(seeds), *residual_jobs(seeds)])
     tuned = {}
     for driver in TUNABLE:
-        tuned[driver] = tune_driver(driver, course(scenario=2 if driver == FED_PID else 1)).values
+        tuned[driver] = tune_driver(driver, course(scenario=2 if driver == drives.FED_PID else 1)).values
         order.say(f"{driver} tuned")
     found = [{r.job.seed: r.policy for r in part} for part in (results[: len(seeds)], results[len(seeds) :])]
     return found[0], found[1], tuned
 
 
 def _track_all(
-    controllers: tuple[ComparedController, ...], kind: str, seeds: tuple[int, ...]
-) -> tuple[dict[tuple[str, int], list[TrackingKpis]], dict[tuple[str, int], TrackRecord]]:
+    controllers: tuple[drives.ComparedController, ...], kind: str, seeds: tuple[int, ...]
+) -> tuple[dict[tuple[str, int], list[tracking.TrackingKpis]], dict[tuple[str, int], tracking.TrackRecord]]:
     """Track every scenario with every driver and seed; return KPIs, and the record of the median seed."""
-    measured: dict[tuple[str, int], list[TrackingKpis]] = {}
-    records: dict[tuple[str, int], TrackRecord] = {}
+    measured: dict[tuple[str, int], list[tracking.TrackingKpis]] = {}
+    records: dict[tuple[str, int], tracking.TrackRecord] = {}
     for scenario in SCENARIOS:
         what = course(kind, scenario)
         for one in controllers:
-            tracks = [track_course(what, *one.of_seed(seed)) for seed in seeds]
-            kpis = [tracking_kpis(what, record) for record in tracks]
+            tracks = [tracking.track_course(what, *one.of_seed(seed)) for seed in seeds]
+            kpis = [tracking.tracking_kpis(what, record) for record in tracks]
             totals = np.array([float(k.speed_total_mps) for k in kpis])
             measured[one.driver, scenario] = kpis
             records[one.driver, scenario] = tracks[int(np.argmin(np.abs(totals - np.median(totals))))]
@@ -347,7 +334,7 @@ def _track_all(
 
 
 def _other_reference_rows(
-    controllers: tuple[ComparedController, ...], seeds: tuple[int, ...], kind: str
+    controllers: tuple[drives.ComparedController, ...], seeds: tuple[int, ...], kind: str
 ) -> list[ReportRow]:
     """Rows of the base scenario on every other reference: totals, parking, jerk."""
     found = []
@@ -356,11 +343,14 @@ def _other_reference_rows(
             continue
         what = course(other)
         for one in controllers:
-            kpis = [tracking_kpis(what, track_course(what, *one.of_seed(seed))) for seed in seeds]
+            kpis = [
+                tracking.tracking_kpis(what, tracking.track_course(what, *one.of_seed(seed)))
+                for seed in seeds
+            ]
             place = ("Other references (beyond the paper)", REFERENCES[other], one.driver)
             for field, words, unit in KPIS:
                 if field in ("speed_total_mps", "position_total_m", "parking_m", "jerk_mps3"):
-                    found.append(make_row(*place, words, unit, table.values(kpis, field)))
+                    found.append(make_row(*place, words, unit, drives.values(kpis, field)))
     return found
 
 

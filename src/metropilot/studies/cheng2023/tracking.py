@@ -12,22 +12,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from metropilot import physics
 from metropilot._typing import Array, Float, Index, Scalar
 from metropilot.control import Errors
 from metropilot.drivers import TrackingView
-from metropilot.physics import (
-    Command,
-    Forces,
-    State,
-    Track,
-    Vehicle,
-    command_for_force,
-    davis_n,
-    namespace,
-    to_jax,
-    track_arrays,
-    vehicle_arrays,
-)
 from metropilot.planning import TimedReference
 from metropilot.railway import Section, Trainset
 from metropilot.sim import NEVER_ENDS, RunParams, control_period, first_state
@@ -50,8 +38,8 @@ class ReferenceCourse(NamedTuple):
         dt: Control period, s.
     """
 
-    vehicle: Vehicle
-    track: Track
+    vehicle: physics.Vehicle
+    track: physics.Track
     position_m: Float[Array, " nodes"]
     speed_mps: Scalar
     needed: Float[Array, " nodes"]
@@ -74,7 +62,7 @@ class TrackState(NamedTuple):
         period: Control periods gone.
     """
 
-    plant: State
+    plant: physics.State
     command: Scalar
     errors: Errors
     period: Index
@@ -94,7 +82,7 @@ def course_of(
         reference: Reference, sampled at the control period.
         resistance_factor: True over nominal running resistance.
     """
-    nominal = vehicle_arrays(trainset)
+    nominal = physics.vehicle_arrays(trainset)
     vehicle = nominal._replace(davis_n=nominal.davis_n * resistance_factor)
     dt = reference.period_s
     end = int(np.ceil(reference.duration_s / dt - 1e-9))
@@ -102,7 +90,7 @@ def course_of(
     held = np.minimum(np.arange(count), reference.position_m.size - 1)
     return ReferenceCourse(
         vehicle,
-        track_arrays(section, trainset),
+        physics.track_arrays(section, trainset),
         reference.position_m[held],
         reference.speed_mps[held],
         needed_commands(nominal, reference.speed_mps[held], dt),
@@ -112,7 +100,7 @@ def course_of(
 
 
 def needed_commands(
-    nominal: Vehicle, speed_mps: Float[np.ndarray, " nodes"], dt: float
+    nominal: physics.Vehicle, speed_mps: Float[np.ndarray, " nodes"], dt: float
 ) -> Float[np.ndarray, " nodes"]:
     """Compute the command that a reference takes of the nominal plant in each period, on level track.
 
@@ -123,8 +111,8 @@ def needed_commands(
     """
     rate = np.diff(speed_mps, append=speed_mps[-1]) / dt
     moves = (speed_mps > 0.0) | (rate > 0.0)
-    force = np.where(moves, rate * nominal.effective_mass_kg + davis_n(nominal, speed_mps), 0.0)
-    return command_for_force(nominal, speed_mps, force)
+    force = np.where(moves, rate * nominal.effective_mass_kg + physics.davis_n(nominal, speed_mps), 0.0)
+    return physics.command_for_force(nominal, speed_mps, force)
 
 
 def compile_course(course: ReferenceCourse) -> ReferenceCourse:
@@ -134,17 +122,17 @@ def compile_course(course: ReferenceCourse) -> ReferenceCourse:
     single = jax.tree.map(
         lambda x: np.asarray(x, np.float32 if np.asarray(x).dtype.kind == "f" else np.int32), course
     )
-    return to_jax(single)
+    return physics.to_jax(single)
 
 
 def start_tracking() -> TrackState:
     """At rest at the origin (NumPy)."""
     zero = np.float64(0.0)
-    parts: dict[str, Any] = dict.fromkeys(State._fields, zero) | {
+    parts: dict[str, Any] = dict.fromkeys(physics.State._fields, zero) | {
         "pipeline": np.zeros(1),
-        "forces": Forces(*[zero] * 5),
+        "forces": physics.Forces(*[zero] * 5),
     }
-    return TrackState(State(**parts), zero, Errors(zero, zero), np.int64(0))
+    return TrackState(physics.State(**parts), zero, Errors(zero, zero), np.int64(0))
 
 
 def start_compiled() -> TrackState:
@@ -189,7 +177,7 @@ def advance_tracking(
         params,
         first_state(state.plant, None),
         None,
-        lambda _, __: (Command(command, False), None),
+        lambda _, __: (physics.Command(command, False), None),
         rule=NEVER_ENDS,
     )
     return TrackState(run.plant, command, errors, state.period + 1)
@@ -216,7 +204,7 @@ SCALE = ObservationScale(20.0, 0.05, 0.15, 5.0)
 
 def array_namespace(*values: Array) -> Any:  # noqa: ANN401 (a module)
     """NumPy or JAX's: single numbers count as NumPy's here."""
-    found = namespace(*values)
+    found = physics.namespace(*values)
     return np if found.__name__ == "scalars" else found
 
 

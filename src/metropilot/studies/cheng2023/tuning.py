@@ -13,16 +13,7 @@ from numpy import ndarray
 from metropilot._typing import Array, Float
 from metropilot.control import CHENG2023_UPPER, Gains
 from metropilot.errors import InputError
-from metropilot.studies.cheng2023.drives import (
-    FED_PID,
-    POSITION_PID,
-    Start,
-    fed_pid_control,
-    fuzzy_control,
-    neural_control,
-    pid_control,
-    position_pid_control,
-)
+from metropilot.studies.cheng2023 import drives
 from metropilot.studies.cheng2023.fuzzy_pid import Universes
 from metropilot.studies.cheng2023.neural_pid import LearningRates
 from metropilot.studies.cheng2023.residual import PlacedGains
@@ -56,7 +47,7 @@ class Tunable:
     low: tuple[float, ...]
     high: tuple[float, ...]
     logarithmic: tuple[bool, ...]
-    controllers: Callable[[Array], list[Start]]
+    controllers: Callable[[Array], list[drives.Start]]
 
     def values(self, unit: Float[ndarray, "..."]) -> Float[ndarray, "..."]:
         """Parameters from numbers in [0, 1]; the last axis is the parameter's."""
@@ -82,13 +73,13 @@ class Tuned:
     evaluations: int
 
 
-def _fuzzy(values: Array) -> list[Start]:
-    return [fuzzy_control(Gains(*values[:3]), Universes(*values[3:8]))]
+def _fuzzy(values: Array) -> list[drives.Start]:
+    return [drives.fuzzy_control(Gains(*values[:3]), Universes(*values[3:8]))]
 
 
-def _neural(values: Array) -> list[Start]:
+def _neural(values: Array) -> list[drives.Start]:
     rates = LearningRates(*values[3:6])
-    return [neural_control(Gains(*values[:3]), rates, seed) for seed in NETWORK_SEEDS]
+    return [drives.neural_control(Gains(*values[:3]), rates, seed) for seed in NETWORK_SEEDS]
 
 
 _UPPER = tuple(float(value) for value in CHENG2023_UPPER)
@@ -96,21 +87,25 @@ _NAMES = ("kp", "ki", "kd")
 TUNABLE: Mapping[str, Tunable] = MappingProxyType(
     {
         "pid": Tunable(
-            _NAMES, (0.0, 0.0, 0.0), _UPPER, (False,) * 3, lambda values: [pid_control(Gains(*values[:3]))]
+            _NAMES,
+            (0.0, 0.0, 0.0),
+            _UPPER,
+            (False,) * 3,
+            lambda values: [drives.pid_control(Gains(*values[:3]))],
         ),
-        POSITION_PID: Tunable(
+        drives.POSITION_PID: Tunable(
             (*_NAMES, "position_per_s"),
             (0.0, 0.0, 0.0, 0.0),
             (*_UPPER, 10.0),
             (False,) * 4,
-            lambda values: [position_pid_control(Gains(*values[:3]), values[3])],
+            lambda values: [drives.position_pid_control(Gains(*values[:3]), values[3])],
         ),
-        FED_PID: Tunable(
+        drives.FED_PID: Tunable(
             (*_NAMES, "position_per_s"),
             (0.0, 0.0, 0.0, 0.0),
             (*_UPPER, 10.0),
             (False,) * 4,
-            lambda values: [fed_pid_control(PlacedGains(Gains(*values[:3]), values[3]))],
+            lambda values: [drives.fed_pid_control(PlacedGains(Gains(*values[:3]), values[3]))],
         ),
         "fuzzy_pid": Tunable(
             (*_NAMES, "error_mps", "change_mps", "kp_span", "ki_span", "kd_span"),

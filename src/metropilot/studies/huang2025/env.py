@@ -13,27 +13,11 @@ from typing import NamedTuple, final
 
 import numpy as np
 
+from metropilot import env
 from metropilot._typing import Array
 from metropilot.control import AT_ONCE_MPS3
-from metropilot.env import (
-    CLIMB_COLUMN,
-    PERMITTED_COLUMN,
-    AbstractAction,
-    ActionSpace,
-    FeatureContext,
-)
 from metropilot.physics import command_for_effort
-from metropilot.studies.huang2025.laws import (
-    RELEASE_SHARE,
-    SEGMENTS,
-    ExpertRules,
-    ExpertStretch,
-    ExpertWindow,
-    coasting_time,
-    expert_state,
-    expert_window,
-    next_expert_rate,
-)
+from metropilot.studies.huang2025 import laws
 
 MARGIN_MPS = 0.25
 RELEASE = 0.5
@@ -52,7 +36,7 @@ class View(NamedTuple):
         time_left_s: Time left, less what letting go of the last brake takes.
     """
 
-    window: ExpertWindow
+    window: laws.ExpertWindow
     rate_mps2: Array
     drag_mps2: Array
     traction_mps2: Array
@@ -60,7 +44,7 @@ class View(NamedTuple):
     time_left_s: Array
 
 
-def view_of(context: FeatureContext, rules: ExpertRules) -> View:
+def view_of(context: env.FeatureContext, rules: laws.ExpertRules) -> View:
     """Window of the destination, and the effort limits at a state."""
     xp, vehicle, v = context.rows.xp, context.vehicle, context.speed_mps
     mass = vehicle.effective_mass_kg
@@ -70,21 +54,21 @@ def view_of(context: FeatureContext, rules: ExpertRules) -> View:
     pulling = xp.maximum(context.acceleration_mps2, 0.0)
     coasts_at = v + pulling * (vehicle.delay_s + vehicle.lag_s + 0.5 * pulling / jerk)
     left = xp.maximum(context.left_m, 1e-3)
-    at = context.position_m + left / SEGMENTS * xp.arange(SEGMENTS + 1, dtype=left.dtype)
-    climb = context.rows.curve_at(CLIMB_COLUMN, context.case, at)
-    cap = xp.maximum(context.rows.curve_at(PERMITTED_COLUMN, context.case, at) - MARGIN_MPS, 0.0)
-    stretch = ExpertStretch(left, climb, 0.5 * cap * cap, 0.0)
+    at = context.position_m + left / laws.SEGMENTS * xp.arange(laws.SEGMENTS + 1, dtype=left.dtype)
+    climb = context.rows.curve_at(env.CLIMB_COLUMN, context.case, at)
+    cap = xp.maximum(context.rows.curve_at(env.PERMITTED_COLUMN, context.case, at) - MARGIN_MPS, 0.0)
+    stretch = laws.ExpertStretch(left, climb, 0.5 * cap * cap, 0.0)
     davis = [vehicle.davis_n[k] / mass for k in range(3)]
-    coasting = coasting_time(xp, davis, rules.brake_mps2, coasts_at, stretch)
-    time_left = context.left_s - RELEASE_SHARE * rules.brake_mps2 / (RELEASE * jerk)
-    window = expert_window(xp, rules, left, coasting, time_left)
+    coasting = laws.coasting_time(xp, davis, rules.brake_mps2, coasts_at, stretch)
+    time_left = context.left_s - laws.RELEASE_SHARE * rules.brake_mps2 / (RELEASE * jerk)
+    window = laws.expert_window(xp, rules, left, coasting, time_left)
     return View(window, rate, drag, traction, brake, time_left)
 
 
-def expert_features(context: FeatureContext) -> Sequence[Array]:
+def expert_features(context: env.FeatureContext) -> Sequence[Array]:
     """State of Huang25 eq. 19, the rate, and the position in the window."""
-    view = view_of(context, ExpertRules())
-    return expert_state(
+    view = view_of(context, laws.ExpertRules())
+    return laws.expert_state(
         context.xp,
         view.window,
         context.speed_mps,
@@ -95,12 +79,14 @@ def expert_features(context: FeatureContext) -> Sequence[Array]:
     )
 
 
-def expert_command(context: FeatureContext, rules: ExpertRules, change: Array, period_s: float) -> Array:
+def expert_command(
+    context: env.FeatureContext, rules: laws.ExpertRules, change: Array, period_s: float
+) -> Array:
     """The command after a change of the rate, which the rules bound."""
     view, part = view_of(context, rules), period_s / rules.interval_s
     top = context.xp.minimum(rules.start_mps2 + view.drag_mps2, view.traction_mps2)
     most = rules.change_mps2 * part
-    rate = next_expert_rate(context.xp, most, view.window, view.rate_mps2, change * most, top)
+    rate = laws.next_expert_rate(context.xp, most, view.window, view.rate_mps2, change * most, top)
     return command_for_effort(rate, view.traction_mps2, view.brake_mps2)
 
 
@@ -109,7 +95,7 @@ SURE_S = 2.0
 
 
 @dataclass(frozen=True)
-class AbstractExpertAction(AbstractAction):
+class AbstractExpertAction(env.AbstractAction):
     """A change of the rate inside the expert's rules (Huang25 eqs. 22 to 24).
 
     Attributes:
@@ -123,9 +109,9 @@ class AbstractExpertAction(AbstractAction):
     interval_s: float = 0.2
 
     @property
-    def rules(self) -> ExpertRules:
+    def rules(self) -> laws.ExpertRules:
         """The expert's constants."""
-        return ExpertRules(self.start_mps2, self.change_mps2, self.interval_s, SURE_S)
+        return laws.ExpertRules(self.start_mps2, self.change_mps2, self.interval_s, SURE_S)
 
     @abstractmethod
     def change(self, action: Array) -> Array:
@@ -140,15 +126,15 @@ class ExpertAction(AbstractExpertAction):
     kind = "expert"
 
     @property
-    def space(self) -> ActionSpace:
+    def space(self) -> env.ActionSpace:
         """Action space of one number."""
-        return ActionSpace(size=1)
+        return env.ActionSpace(size=1)
 
     def change(self, action: Array) -> Array:
         """Wanted over largest change."""
         return action[0]
 
-    def command(self, context: FeatureContext, action: Array, period_s: float) -> Array:
+    def command(self, context: env.FeatureContext, action: Array, period_s: float) -> Array:
         """Command of the last rate with the change that the rules allow."""
         change = context.xp.clip(self.change(action), -1.0, 1.0)
         return expert_command(context, self.rules, change, period_s)
@@ -169,15 +155,15 @@ class ExpertChoiceAction(AbstractExpertAction):
     changes: tuple[float, ...] = (-1.0, 0.0, 1.0)
 
     @property
-    def space(self) -> ActionSpace:
+    def space(self) -> env.ActionSpace:
         """Action space of one choice a change."""
-        return ActionSpace(count=len(self.changes))
+        return env.ActionSpace(count=len(self.changes))
 
     def change(self, action: Array) -> Array:
         """Wanted over largest change, of a choice on the host."""
         return self.changes[int(action)]
 
-    def command(self, context: FeatureContext, action: Array, period_s: float) -> Array:
+    def command(self, context: env.FeatureContext, action: Array, period_s: float) -> Array:
         """Command of the last rate with the change that the rules allow."""
         return expert_command(
             context, self.rules, context.rows.xp.asarray(self.changes, np.float32)[action], period_s

@@ -11,19 +11,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from metropilot.policy import shipped_policy
+from metropilot.studies.huang2025 import drives
 from metropilot.studies.huang2025.as_printed import AS_PRINTED
 from metropilot.studies.huang2025.beyond import GAINS, beyond_rows, repeat_stops, stop_rows
-from metropilot.studies.huang2025.drives import (
-    ABOVE,
-    ABOVE_ATTAINABLE,
-    LEFT,
-    EvaluatedRun,
-    decision_row,
-    drive_at_arrival,
-    drive_case,
-    news_rows,
-    rows_of,
-)
 from metropilot.studies.huang2025.figures import figures
 from metropilot.studies.huang2025.setting import (
     BRISK_EITOE,
@@ -171,7 +161,7 @@ def _name_missed(rows: Sequence[ReportRow], cases: Sequence[str]) -> str:
     """Name the cases in which EITOP needs more than wanted above what is possible, in a sentence."""
     missed, most = [], max(WANTED_PERCENT[case] for case in cases)
     for case in cases:
-        row = _value(rows, case, EITOP, LEFT if case in UPDATED else ABOVE_ATTAINABLE)
+        row = _value(rows, case, EITOP, drives.LEFT if case in UPDATED else drives.ABOVE_ATTAINABLE)
         if row is None or row.ours is None or round(row.ours, 2) > WANTED_PERCENT[case]:
             missed.append(BY_ID[case].name)
     return f"Wanted: at most {most:g} %; missed: {', '.join(missed) or 'nowhere'}."
@@ -189,7 +179,7 @@ def _against_expert(rows: Sequence[ReportRow]) -> str:
     if not gains:
         return "EITOP was not compared with the expert at its own limit."
     less = sum(gain < 0.0 for gain in gains)
-    above = [_value(rows, case, EQUAL_EITOE, ABOVE_ATTAINABLE) for case in COMPARED]
+    above = [_value(rows, case, EQUAL_EITOE, drives.ABOVE_ATTAINABLE) for case in COMPARED]
     most = [row.ours for row in above if row is not None and row.ours is not None]
     room = ""
     if most:
@@ -260,14 +250,14 @@ def remarks(rows: Sequence[ReportRow], *, budget: str) -> list[str]:
         ),
         (
             "EITOP above the attainable optimum, which knows its limits, dead time, lag and protection "
-            f"(largest of all seeds): {', '.join(over(ABOVE_ATTAINABLE, COMPARED))}. "
+            f"(largest of all seeds): {', '.join(over(drives.ABOVE_ATTAINABLE, COMPARED))}. "
             f"{_name_missed(rows, COMPARED)} Above the optimum of its limits alone, which no driver with "
-            f"this actuation reaches: {', '.join(over(ABOVE, COMPARED))}."
+            f"this actuation reaches: {', '.join(over(drives.ABOVE, COMPARED))}."
         ),
         (
             "After a late update the optimum in hindsight is out of reach, because the drive before "
             "the update is already done. EITOP above the least energy still possible under protection once a "
-            f"command given at the update acts: {', '.join(over(LEFT, UPDATED))}. "
+            f"command given at the update acts: {', '.join(over(drives.LEFT, UPDATED))}. "
             f"{_name_missed(rows, UPDATED)} It arrives after {_arrivals(rows)}."
         ),
         (
@@ -336,7 +326,7 @@ def _arrivals(rows: Sequence[ReportRow]) -> str:
 LEARNING = "Learning: its Figs. 5 and 6"
 DECISIONS = "Decision time"
 MANUAL_SEEDS = 10
-Found = dict[tuple[str, str], EvaluatedRun]
+Found = dict[tuple[str, str], drives.EvaluatedRun]
 
 
 def reproduce(order: Order) -> StudyReport:
@@ -356,10 +346,10 @@ def reproduce(order: Order) -> StudyReport:
     found: Found = {}
     for case in CASES:
         for driver in case.drivers:
-            found[case.id, driver] = drive_case(case, driver, policies, range(MANUAL_SEEDS))
+            found[case.id, driver] = drives.drive_case(case, driver, policies, range(MANUAL_SEEDS))
         if case.told_s is None:
             arrival = float(np.median([one.running_time_s for one in found[case.id, EITOP].drives]))
-            found[case.id, EQUAL_EITOE] = drive_at_arrival(case, arrival)
+            found[case.id, EQUAL_EITOE] = drives.drive_at_arrival(case, arrival)
         order.say(f"{case.name} driven")
     stops = [repeat_stops(gain) for gain in GAINS]
     rows = _rows(found)
@@ -376,8 +366,8 @@ def fixed_rows() -> list[ReportRow]:
     for case in CASES:
         for driver in case.drivers:
             if driver not in (MANUAL, *LEARNED):
-                found = drive_case(case, driver, {}, range(1))
-                rows += [*rows_of(found, None), *news_rows(found)]
+                found = drives.drive_case(case, driver, {}, range(1))
+                rows += [*drives.rows_of(found, None), *drives.news_rows(found)]
     return rows
 
 
@@ -397,11 +387,13 @@ def _rows(found: Found) -> list[ReportRow]:
     """Rows of every case and driver, and of the decision times."""
     rows: list[ReportRow] = []
     for (case_id, _), one in found.items():
-        rows += rows_of(one, found.get((case_id, MANUAL)))
-        rows += news_rows(one)
+        rows += drives.rows_of(one, found.get((case_id, MANUAL)))
+        rows += drives.news_rows(one)
     rows += _whole(found)
     drivers = dict.fromkeys(driver for _, driver in found)
-    rows += [decision_row(DECISIONS, d, [one for one in found.values() if one.driver == d]) for d in drivers]
+    rows += [
+        drives.decision_row(DECISIONS, d, [one for one in found.values() if one.driver == d]) for d in drivers
+    ]
     return rows
 
 

@@ -5,30 +5,22 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar, final
 
+from metropilot import drivers
 from metropilot._schema import declare
 from metropilot.control import Ceiling, Errors, Gains, Model, incremental_pid
-from metropilot.drivers import (
-    REFERENCE_PERIOD_S,
-    AbstractPidOptions,
-    AbstractShippedDriver,
-    AbstractTracker,
-    PolicyOptions,
-    TrackingMemory,
-    TrackingView,
-)
 from metropilot.planning import TimedReference, sample_profile
 from metropilot.sim import Run, simulate_nominal
 
 
 @final
-class Dqn(AbstractShippedDriver):
+class Dqn(drivers.AbstractShippedDriver):
     """Learned by plain DQN over Lu23's twelve notches, without the filter, for 118 to 142 s."""
 
     id: ClassVar[str] = "dqn"
 
 
 @final
-class ImprovedDqn(AbstractShippedDriver):
+class ImprovedDqn(drivers.AbstractShippedDriver):
     """Learned by double dueling DQN with prioritised replay, its choices filtered by minimum arrival time."""
 
     id: ClassVar[str] = "improved_dqn"
@@ -36,7 +28,7 @@ class ImprovedDqn(AbstractShippedDriver):
 
 @final
 @dataclass(frozen=True)
-class PidLu2023Options(AbstractPidOptions):
+class PidLu2023Options(drivers.AbstractPidOptions):
     """Options of ``pid-lu2023``: the tracked curve, and gains (the paper gives none; these are Cheng23's).
 
     Attributes:
@@ -47,7 +39,7 @@ class PidLu2023Options(AbstractPidOptions):
 
 
 @final
-class PidLu2023(AbstractTracker):
+class PidLu2023(drivers.AbstractTracker):
     """Tracks what improved DQN would drive (Lu23 Fig. 9); a curve laid anew on the way is an S-curve.
 
     Args:
@@ -62,19 +54,19 @@ class PidLu2023(AbstractTracker):
         self.gains = Gains(self.given.kp, self.given.ki, self.given.kd)
         self.curve: TimedReference | None = None
 
-        self.learned = ImprovedDqn(PolicyOptions(self.given.policy))
+        self.learned = ImprovedDqn(drivers.PolicyOptions(self.given.policy))
 
     def read_policy(self) -> object:
         """Read the policy that drives the curve it tracks."""
         return self.learned.loaded_policy
 
-    def init(self, run: Run) -> TrackingMemory:
+    def init(self, run: Run) -> drivers.TrackingMemory:
         """Let improved DQN drive the run ahead of departure, and take its curve as the reference."""
         learned = simulate_nominal(run, self.learned)
-        self.curve = sample_profile(learned.position_m, learned.speed_mps, REFERENCE_PERIOD_S)
+        self.curve = sample_profile(learned.position_m, learned.speed_mps, drivers.REFERENCE_PERIOD_S)
         return super().init(run)
 
-    def control(self, memory: Errors, seen: TrackingView) -> tuple[float, Errors]:
+    def control(self, memory: Errors, seen: drivers.TrackingView) -> tuple[float, Errors]:
         """One period of the law."""
         return incremental_pid(seen.command, self.gains, seen.error_mps, memory)
 

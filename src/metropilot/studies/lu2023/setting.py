@@ -6,15 +6,7 @@ from dataclasses import dataclass, replace
 
 from metropilot import env
 from metropilot.railway import Section, load_line, load_trainset
-from metropilot.studies.lu2023.env import (
-    CONTROL_S,
-    AccelerationComfort,
-    EffortEnergy,
-    Moving,
-    NotchForceAction,
-    RegimeSwitch,
-    StopWindow,
-)
+from metropilot.studies.lu2023 import env as lu2023_env
 
 CITATION = (
     "T. Lu and B. Liu: Automatic Driving Operation Strategy of Urban Rail Train Based on Improved DQN "
@@ -113,16 +105,16 @@ ON_THE_WAY, LEFT_RATIO = 0.4, (1.0, 1.5)
 """Share of episodes that begin between stations, and their range of time left over flat-out time to go."""
 REWARDS = (
     env.OnTime(bonus=TIME_BONUS, allowed_s=LATE_S, soft_s=SOFT_S),
-    EffortEnergy(per_j=WORK_PER_J),
-    StopWindow(bonus=STOP_BONUS),
-    AccelerationComfort(jump_price=JUMP),
-    Moving(),
-    RegimeSwitch(price=SWITCH),
+    lu2023_env.EffortEnergy(per_j=WORK_PER_J),
+    lu2023_env.StopWindow(bonus=STOP_BONUS),
+    lu2023_env.AccelerationComfort(jump_price=JUMP),
+    lu2023_env.Moving(),
+    lu2023_env.RegimeSwitch(price=SWITCH),
 )
 """Lu23 eqs. 15 to 20, and a price of changes between traction, coasting and braking."""
 STATE = ("position", "speed", "time_left", "reserve", "permitted_ahead", "command")
 """Position, speed, time left, the filter's reserve (time left beyond flat-out time to go), limits ahead."""
-ACTION = NotchForceAction(margin=MARGIN, most_mps2=MOST_MPS2, below_mps=0.03, late_brake=True)
+ACTION = lu2023_env.NotchForceAction(margin=MARGIN, most_mps2=MOST_MPS2, below_mps=0.03, late_brake=True)
 """The notches, and which of them can be chosen."""
 
 
@@ -136,8 +128,8 @@ def task_config() -> env.DrivingConfig:
         action=ACTION,
         rewards=REWARDS,
         assists=ASSISTS,
-        dt=CONTROL_S,
-        periods=round(PERIOD_S / CONTROL_S),
+        dt=lu2023_env.CONTROL_S,
+        periods=round(PERIOD_S / lu2023_env.CONTROL_S),
         most_decisions=75,
     )
 

@@ -17,6 +17,7 @@ from metropilot.web import catalogue, evidence
 from metropilot.web.errors import Refused, error_of
 from metropilot.web.live.session import Session
 from metropilot.web.pages import frame as parts
+from metropilot.web.pages import plots
 from metropilot.web.pages.form import (
     DisturbanceForm,
     DriverOptions,
@@ -30,13 +31,6 @@ from metropilot.web.pages.form import (
     validate,
 )
 from metropilot.web.pages.moment import MomentSlider
-from metropilot.web.pages.plots import (
-    REGIME_COLOURS,
-    drive_figure,
-    explanation_figure,
-    plan_figure,
-    run_figure,
-)
 from metropilot.web.pages.runs import RunList
 from metropilot.web.pages.strip import line_strip, section_strip
 from metropilot.web.pages.watched import AbstractWatched
@@ -143,7 +137,7 @@ class DrivePage(AbstractWatched):
                 self.strip = parts.strip(_("Section"))
                 parts.reads(READS)
                 self.lever()
-                self.plot = parts.plot(run_figure()).classes("mp-along")
+                self.plot = parts.plot(plots.run_figure()).classes("mp-along")
                 ends = f"'c{self.root.id}', {self.plot.id}"
                 self.plot.on("plotly_relayout", js_handler=f"(e) => metropilot.drag({ends}, e)")
                 self.plot.on("plotly_afterplot", js_handler=f"() => metropilot.arrival({ends})")
@@ -253,7 +247,7 @@ class DrivePage(AbstractWatched):
         elif self.row is not None:
             found = self.service.store.result(self.row.id)
             if found is not None:
-                self.plot.update_figure(drive_figure(found))
+                self.plot.update_figure(plots.drive_figure(found))
                 if self.form.section is not None:
                     self.moment.offer(found, self.form.section["length_m"])
                 self.show_why(found)
@@ -321,7 +315,7 @@ class DrivePage(AbstractWatched):
                     if self.live() is None and self.form.section is not None:
                         told = self.form.restrictions.values()
                         bounds = self.form.time_bounds_s
-                        self.plot.update_figure(plan_figure(self.form.section, plan, now, bounds, told))
+                        self.plot.update_figure(plots.plan_figure(self.form.section, plan, now, bounds, told))
                         self.moment.close()
                         self.arrival.value = now
         finally:
@@ -481,9 +475,9 @@ def explanation_card(driven: dict[str, Any]) -> None:
     with parts.card(_("Why does it drive so?")):
         ui.label(tables.explain_words(told, kpis)).classes("mp-soft").props('data-test="why"')
         with ui.element("div").classes("mp-links"):
-            for regime, colour in REGIME_COLOURS.items():
+            for regime, colour in plots.REGIME_COLOURS.items():
                 ui.label(retell(regime)).classes("mp-swatch").style(f"--mp-swatch: {colour}")
-        parts.plot(explanation_figure(driven)).classes("mp-along").props('data-test="explanation"')
+        parts.plot(plots.explanation_figure(driven)).classes("mp-along").props('data-test="explanation"')
         parts.table(*tables.regime_table(told), right=(4, 5, 6), name=_("Regimes"))
         if told["interventions"]:
             parts.table(*tables.hit_table(told), right=(3, 4, 5), name=_("Interventions"))

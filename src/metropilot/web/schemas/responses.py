@@ -6,14 +6,7 @@ from typing import Annotated, Any, Literal, Self, get_type_hints
 
 from pydantic import BaseModel, Field, create_model, model_validator
 
-from metropilot.evaluate import (
-    BoundSpan,
-    FeatureMoment,
-    FeatureShare,
-    InterventionSpan,
-    RegimeSpan,
-    TimePrice,
-)
+from metropilot import evaluate
 from metropilot.fit import FittedParameter
 from metropilot.studies import ReportRow
 from metropilot.web.store import JobRow, ProjectRow, VersionRow
@@ -266,27 +259,27 @@ class CheckOut(BaseModel):
     passed: bool
 
 
-class RegimeOut(fields_of(RegimeSpan)):
+class RegimeOut(fields_of(evaluate.RegimeSpan)):
     """A part of a drive in one regime: what bound most of it, energy, loss to trainset and driver."""
 
 
-class BoundOut(fields_of(BoundSpan)):
+class BoundOut(fields_of(evaluate.BoundSpan)):
     """A part of a drive that one thing bound."""
 
 
-class InterventionOut(fields_of(InterventionSpan)):
+class InterventionOut(fields_of(evaluate.InterventionSpan)):
     """An intervention of protection, and the position up to which the permitted speed fell from there."""
 
 
-class TimePriceOut(fields_of(TimePrice)):
+class TimePriceOut(fields_of(evaluate.TimePrice)):
     """Worth of a second at a moment: marginal price, energy that one more saves and one less costs."""
 
 
-class FeatureShareOut(fields_of(FeatureShare)):
+class FeatureShareOut(fields_of(evaluate.FeatureShare)):
     """Share of a feature in a learned driver's decision."""
 
 
-class DecisionOut(fields_of(FeatureMoment, "shares")):
+class DecisionOut(fields_of(evaluate.FeatureMoment, "shares")):
     """Decision of a learned driver; its shares sum up to the output less that of the mean observation.
 
     ``meaning``: what a positive share speaks for.

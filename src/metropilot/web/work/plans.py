@@ -17,18 +17,11 @@ from typing import Any
 
 import numpy as np
 
-from metropilot import planning
+from metropilot import physics, planning
 from metropilot._processes import ONE_THREAD
 from metropilot.errors import Infeasible, InputError
 from metropilot.evaluate import POLICY, RunSpec, attainable_of, driving_limits, traction_work_j
 from metropilot.operation import LineOperation, OperationOptions
-from metropilot.physics import (
-    brake_available_n,
-    davis_n,
-    electric_available_n,
-    traction_available_n,
-    vehicle_arrays,
-)
 from metropilot.policy import load_driving_policy
 from metropilot.railway import Line, Section, Station, Steps, Trainset, import_file, load_line, load_trainset
 from metropilot.sim import Disturbance
@@ -263,15 +256,15 @@ def _journey_out(made: planning.JourneyPlan) -> dict[str, Any]:
 
 def effort_curves(trainset: Trainset) -> dict[str, list[Any]]:
     """Forces and rates of a trainset on level track over speed, within its limits."""
-    vehicle = vehicle_arrays(trainset)
+    vehicle = physics.vehicle_arrays(trainset)
     speed = np.linspace(0.0, trainset.max_speed_mps, CURVE_POINTS)
     found = {
         name: np.array([force(vehicle, v) for v in speed.tolist()])
         for name, force in (
-            ("traction_n", traction_available_n),
-            ("electric_brake_n", electric_available_n),
-            ("brake_n", brake_available_n),
-            ("resistance_n", davis_n),
+            ("traction_n", physics.traction_available_n),
+            ("electric_brake_n", physics.electric_available_n),
+            ("brake_n", physics.brake_available_n),
+            ("resistance_n", physics.davis_n),
         )
     }
     mass_kg = trainset.effective_mass_kg

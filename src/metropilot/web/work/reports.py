@@ -11,14 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from metropilot.evaluate import BLUE, GREY, ORANGE, add_headline, house_style, label_panel, new_panels
 from metropilot.units import J_PER_KWH, KMH_PER_MPS
-from metropilot.web.words.tables import (
-    check_rows,
-    explain_words,
-    hit_table,
-    number,
-    regime_table,
-    translate_kpis,
-)
+from metropilot.web.words import tables
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -229,24 +222,24 @@ def _provenance(folder: Path, present: dict[str, str]) -> dict[str, str]:
 
 def _requirements(sheets: Sheets, title: str, checks: list[dict[str, Any]]) -> None:
     sheets.heading(title)
-    rows = [(*texts, "passed" if passed else "FAILED") for *texts, passed in check_rows(checks)]
+    rows = [(*texts, "passed" if passed else "FAILED") for *texts, passed in tables.check_rows(checks)]
     sheets.table(("requirement", "measured", "allowed", ""), rows, (3, 2, 3, 1.2), right=(1,))
 
 
 def _drive(sheets: Sheets, driven: dict[str, Any]) -> None:
     _requirements(sheets, "Requirements", driven["checks"])
     sheets.heading("KPIs")
-    sheets.table(("KPI", "value", ""), translate_kpis(driven["kpis"]), (2.4, 1.4, 5.2), right=(1,))
+    sheets.table(("KPI", "value", ""), tables.translate_kpis(driven["kpis"]), (2.4, 1.4, 5.2), right=(1,))
     told = driven.get("explanation")
     if told is None:
         return
     sheets.heading("Why it drives so")
-    sheets.paragraph(explain_words(told, driven["kpis"]))
-    sheets.table(*regime_table(told), (1, 1.6, 1.6, 1.9, 1.5, 1.1, 1.1), right=(4, 5, 6))
+    sheets.paragraph(tables.explain_words(told, driven["kpis"]))
+    sheets.table(*tables.regime_table(told), (1, 1.6, 1.6, 1.9, 1.5, 1.1, 1.1), right=(4, 5, 6))
     sheets.paragraph("Trainset and driver: energy (kWh) lost in the regime against the optimal plan.")
     if told["interventions"]:
         sheets.heading("Interventions of protection")
-        sheets.table(*hit_table(told), (2, 1.5, 1.5, 1.3, 1.2, 1.5), right=(3, 4, 5))
+        sheets.table(*tables.hit_table(told), (2, 1.5, 1.5, 1.3, 1.2, 1.5), right=(3, 4, 5))
 
 
 def _comparison(sheets: Sheets, result: dict[str, Any]) -> None:
@@ -257,7 +250,7 @@ def _comparison(sheets: Sheets, result: dict[str, Any]) -> None:
         said = "; ".join(f"{ended.count(w)} × {w}" if len(ended) > 1 else w for w in dict.fromkeys(ended))
         means = [entry["kpis"].get(name) for name, _heading, _digits in COMPARED]
         values = [
-            number(None if mean is None else mean["mean"], digits)
+            tables.number(None if mean is None else mean["mean"], digits)
             for mean, (_name, _heading, digits) in zip(means, COMPARED, strict=True)
         ]
         rows.append((entry["driver"], said, *values))
@@ -271,21 +264,21 @@ def _comparison(sheets: Sheets, result: dict[str, Any]) -> None:
 
 def _journey(sheets: Sheets, journey: dict[str, Any]) -> None:
     energy, planned = journey["energy_j"], journey.get("planned_energy_j")
-    words = f"Running time with dwells {number(journey['running_time_s'], 0)} s"
-    words += f", energy {number(energy / J_PER_KWH, 2)} kWh"
+    words = f"Running time with dwells {tables.number(journey['running_time_s'], 0)} s"
+    words += f", energy {tables.number(energy / J_PER_KWH, 2)} kWh"
     if planned:
-        words += f"; with the timetable's own running times {number(planned / J_PER_KWH, 2)} kWh"
+        words += f"; with the timetable's own running times {tables.number(planned / J_PER_KWH, 2)} kWh"
     sheets.paragraph(f"{words}.")
     sheets.heading("Calls")
     rows = [
         (
             call["station"],
-            number(call["position_m"], 0),
-            number(call["arrival_s"], 1),
-            number(call["departure_s"], 1),
-            number(call["running_time_s"], 1),
-            number(call["minimum_running_time_s"], 1),
-            number(call["energy_j"] / J_PER_KWH, 2),
+            tables.number(call["position_m"], 0),
+            tables.number(call["arrival_s"], 1),
+            tables.number(call["departure_s"], 1),
+            tables.number(call["running_time_s"], 1),
+            tables.number(call["minimum_running_time_s"], 1),
+            tables.number(call["energy_j"] / J_PER_KWH, 2),
         )
         for call in journey["calls"]
     ]
