@@ -95,13 +95,8 @@ def write_archive(service: Service, project: str) -> bytes:
         if each.run in named and each.status in RESTING and each not in jobs:
             jobs.append(each)
     uploads = [each for each in service.store.uploads() if each.project == project or each.id in named]
-    index: dict[str, Any] = {
-        "format": FORMAT,
-        "name": row.name,
-        "notes": row.notes,
-        "jobs": [],
-        "uploads": [],
-    }
+    index: dict[str, Any] = {"format": FORMAT, "name": row.name, "notes": row.notes}
+    index |= {"jobs": [], "uploads": []}
     size = 0
     with ZipFile(made, "w", ZIP_DEFLATED) as archive:
 
@@ -374,16 +369,8 @@ class ArchivedJob(BaseModel):
         """Add the job under a new id."""
         store.new_job(self.kind, self.request, job=job)
         store.note_all(job, self.journal)
-        changes = {"result": self.result} if self.result is not None else {}
-        told: dict[str, Any] = {
-            "status": self.status,
-            "words": self.words,
-            "name": self.name,
-            "progress": self.progress,
-            "run": self.run,
-        }
-        told["created"] = self.created
-        store.update(job, **told, **changes)
+        told = {"status", "words", "name", "created", "progress", "run", "result"}
+        store.update(job, **self.model_dump(include=told))
         store.set_project(job, project)
 
 
