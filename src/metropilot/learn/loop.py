@@ -17,16 +17,8 @@ import jax.numpy as jnp
 
 from metropilot._typing import Array
 from metropilot.env import AbstractTask
+from metropilot.learn import config as configs
 from metropilot.learn import environments as env
-from metropilot.learn.config import (
-    AbstractConfig,
-    DDPGConfig,
-    DQNConfig,
-    NAFConfig,
-    PPOConfig,
-    SACConfig,
-    TabularConfig,
-)
 from metropilot.learn.ddpg import DDPG
 from metropilot.learn.dqn import DQN
 from metropilot.learn.learner import AbstractLearner, LearnerState
@@ -36,17 +28,17 @@ from metropilot.learn.sac import SAC
 from metropilot.learn.tabular import TabularQ
 from metropilot.policy import Params, Policy, act
 
-LEARNERS: dict[type[AbstractConfig], Callable[[Any, AbstractTask], AbstractLearner[Any]]] = {
-    DDPGConfig: DDPG,
-    DQNConfig: DQN,
-    NAFConfig: NAF,
-    PPOConfig: PPO,
-    SACConfig: SAC,
-    TabularConfig: TabularQ,
+LEARNERS: dict[type[configs.AbstractConfig], Callable[[Any, AbstractTask], AbstractLearner[Any]]] = {
+    configs.DDPGConfig: DDPG,
+    configs.DQNConfig: DQN,
+    configs.NAFConfig: NAF,
+    configs.PPOConfig: PPO,
+    configs.SACConfig: SAC,
+    configs.TabularConfig: TabularQ,
 }
 
 
-def make_learner(config: AbstractConfig, task: AbstractTask) -> AbstractLearner[Any]:
+def make_learner(config: configs.AbstractConfig, task: AbstractTask) -> AbstractLearner[Any]:
     """The learner of a configuration on a task.
 
     Raises:
@@ -147,7 +139,9 @@ def _summary(finished: env.Finished) -> Row:
     return row | {f"term.{name}": value / count for name, value in total.terms.items()}
 
 
-def make_loop(config: AbstractConfig, task: AbstractTask, evaluate: PolicyEvaluation | None = None) -> Loop:
+def make_loop(
+    config: configs.AbstractConfig, task: AbstractTask, evaluate: PolicyEvaluation | None = None
+) -> Loop:
     """A run ready to begin.
 
     Args:
@@ -177,7 +171,7 @@ def default_evaluation(learner: AbstractLearner[Any]) -> PolicyEvaluation:
 
 
 def learn(
-    config: AbstractConfig, task: AbstractTask, key: Array, evaluate: PolicyEvaluation | None = None
+    config: configs.AbstractConfig, task: AbstractTask, key: Array, evaluate: PolicyEvaluation | None = None
 ) -> tuple[Policy, Row]:
     """Learn a policy: one pure function of a key.
 

@@ -14,16 +14,7 @@ from metropilot._registry import Registry, RegistryRow, did_you_mean
 from metropilot._schema import field_specs
 from metropilot.env import DrivingConfig, NotchAction, TaskSite, task_config
 from metropilot.errors import InputError
-from metropilot.learn.config import (
-    AbstractConfig,
-    DDPGConfig,
-    NAFConfig,
-    PPOConfig,
-    SACConfig,
-    TabularConfig,
-    TeacherConfig,
-    change_config,
-)
+from metropilot.learn import config as configs
 from metropilot.learn.schedules import Schedule
 from metropilot.policy import load_policy, shipped_policy
 
@@ -49,13 +40,13 @@ class Recipe:
     """
 
     task: str
-    paper: AbstractConfig
+    paper: configs.AbstractConfig
     shorter: Mapping[str, Any]
     changes: Callable[[DrivingConfig], DrivingConfig] | None = None
-    evaluation: Callable[[AbstractConfig, DrivingTask], PolicyEvaluation] | None = None
+    evaluation: Callable[[configs.AbstractConfig, DrivingTask], PolicyEvaluation] | None = None
 
     @property
-    def quick(self) -> AbstractConfig:
+    def quick(self) -> configs.AbstractConfig:
         """The learner's configuration under the budget ``quick``."""
         return replace(self.paper, **self.shorter)
 
@@ -64,7 +55,7 @@ class Recipe:
         """``ddpg dqn naf ppo sac tabular teacher``."""
         return self.paper.algorithm
 
-    def configuration(self, budget: str = "paper", **values: Any) -> AbstractConfig:
+    def configuration(self, budget: str = "paper", **values: Any) -> configs.AbstractConfig:
         """The learner's configuration.
 
         Args:
@@ -76,7 +67,7 @@ class Recipe:
         """
         if budget not in BUDGETS:
             raise InputError("unknown budget", field="budget", value=budget, allowed=", ".join(BUDGETS))
-        return change_config(self.quick if budget == "quick" else self.paper, values)
+        return configs.change_config(self.quick if budget == "quick" else self.paper, values)
 
     def task_configuration(self, name: str | None = None, site: TaskSite | None = None) -> DrivingConfig:
         """The task's configuration; another registered task than the recipe's is taken as it stands.
@@ -152,7 +143,7 @@ def resume_request(record: RunRecord, folder: Path) -> RunRequest:
     return _request(record.configuration(), made, record.task, record.seed, **more)
 
 
-def _request(config: AbstractConfig, task: DrivingTask, *named: Any, **more: Any) -> RunRequest:
+def _request(config: configs.AbstractConfig, task: DrivingTask, *named: Any, **more: Any) -> RunRequest:
     from metropilot.learn.train import RunRequest
 
     return RunRequest(config, task, *named, interface=task.config.interface, **more)
@@ -176,7 +167,7 @@ def evaluation_of(request: RunRequest) -> PolicyEvaluation:
     row = RECIPES.get(request.driver) if request.driver in RECIPES else None
     if row is not None and row.evaluation is not None and request.name == row.task:
         return row.evaluation(request.config, task)
-    if isinstance(request.config, TeacherConfig):
+    if isinstance(request.config, configs.TeacherConfig):
         require_random_sections(task)
         return DrivingEvaluation(task, imitation_spec(request.config, task.observation_size))
     return DrivingEvaluation(task, make_learner(request.config, task).spec)
@@ -220,7 +211,7 @@ def _coarse(config: DrivingConfig) -> DrivingConfig:
 
 POWERS = 0.5
 """First action of an untrained policy: from standstill it would otherwise learn nothing at first."""
-PPO_BASE = PPOConfig(
+PPO_BASE = configs.PPOConfig(
     steps=20_000_000,
     environments=512,
     rollout=64,
@@ -250,7 +241,7 @@ REPLAY_BASE: dict[str, Any] = {
 }
 """Of every learner with a replay memory and continuous actions."""
 REPLAY_QUICK = {"steps": 100_000, "evaluations": 8}
-TABLE_BASE = TabularConfig(
+TABLE_BASE = configs.TabularConfig(
     steps=20_000_000,
     environments=1024,
     rollout=32,
@@ -283,9 +274,13 @@ RECIPES: Registry[Recipe] = Registry(
             "PPO with reward scaling",
             "own, after Chen23a",
         ),
-        "ddpg": RegistryRow(Recipe("drive", DDPGConfig(**REPLAY_BASE), REPLAY_QUICK), "DDPG", "Lillicrap16"),
-        "sac": RegistryRow(Recipe("drive", SACConfig(**REPLAY_BASE), REPLAY_QUICK), "SAC", "Haarnoja18"),
-        "naf": RegistryRow(Recipe("drive", NAFConfig(**REPLAY_BASE), REPLAY_QUICK), "NAF", "Gu16"),
+        "ddpg": RegistryRow(
+            Recipe("drive", configs.DDPGConfig(**REPLAY_BASE), REPLAY_QUICK), "DDPG", "Lillicrap16"
+        ),
+        "sac": RegistryRow(
+            Recipe("drive", configs.SACConfig(**REPLAY_BASE), REPLAY_QUICK), "SAC", "Haarnoja18"
+        ),
+        "naf": RegistryRow(Recipe("drive", configs.NAFConfig(**REPLAY_BASE), REPLAY_QUICK), "NAF", "Gu16"),
         "eitop": RegistryRow(
             "metropilot.studies.huang2025.learning:EITOP_RECIPE", "PPO inside the expert", "Huang25"
         ),
@@ -303,7 +298,7 @@ RECIPES: Registry[Recipe] = Registry(
             "Zhou et al. 2020, compared in Huang25",
         ),
         "generalist": RegistryRow(
-            Recipe("worlds", TeacherConfig(), GENERALIST_QUICK),
+            Recipe("worlds", configs.TeacherConfig(), GENERALIST_QUICK),
             "imitation of the optimal plan, then closed-loop driving",
             "own",
         ),

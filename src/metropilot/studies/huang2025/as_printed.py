@@ -13,26 +13,9 @@ from metropilot.env import DisturbanceDistribution, DrivingTask
 from metropilot.evaluate import make_driver
 from metropilot.railway import load_line
 from metropilot.sim import drive
+from metropilot.studies.huang2025 import setting
 from metropilot.studies.huang2025.drives import EvaluatedRun, drive_at_arrival
 from metropilot.studies.huang2025.env import ExpertAction
-from metropilot.studies.huang2025.setting import (
-    BY_ID,
-    COAST,
-    EITOE,
-    EITOP,
-    EPISODES_TO_SETTLE,
-    GENTLE_MPS2,
-    IC,
-    IE,
-    LEARNED_ON,
-    LINE,
-    RULE2_MPS2,
-    TOOK,
-    TOP,
-    PublishedCase,
-    run_of,
-    task_config,
-)
 from metropilot.studies.learning import LearnJob
 from metropilot.studies.report import PrintedSetting, ReportRow, make_row
 from metropilot.studies.study import AsPrinted, LiteralRun, Order
@@ -57,16 +40,16 @@ def driver_at(driver: str, limit_mps2: float) -> str:
 
 def expert_at_arrival(limit_mps2: float, policy_mps2: float) -> str:
     """Driver id of the expert that arrives when EITOP does."""
-    return f"{driver_at(EITOE, limit_mps2)}, arrival of {driver_at(EITOP, policy_mps2)}"
+    return f"{driver_at(setting.EITOE, limit_mps2)}, arrival of {driver_at(setting.EITOP, policy_mps2)}"
 
 
 def literal_task(limit_mps2: float) -> DrivingTask:
     """The paper's task of EITOP: case 1 alone, from standstill, without late news."""
-    section = load_line(LINE).section(*LEARNED_ON[0])
-    scheduled_s = BY_ID["101"].scheduled_s
+    section = load_line(setting.LINE).section(*setting.LEARNED_ON[0])
+    scheduled_s = setting.BY_ID["101"].scheduled_s
     times = DisturbanceDistribution(time_s=(scheduled_s, scheduled_s))
     action = ExpertAction(start_mps2=limit_mps2)
-    return DrivingTask(replace(task_config(), sections=(section,), scenarios=times, action=action))
+    return DrivingTask(replace(setting.task_config(), sections=(section,), scenarios=times, action=action))
 
 
 def jobs(seeds: Iterable[int], budget: str) -> list[LearnJob]:
@@ -74,14 +57,14 @@ def jobs(seeds: Iterable[int], budget: str) -> list[LearnJob]:
     from metropilot.learn import RECIPES
 
     told = {"steps": STEPS[budget], "evaluations": 6}
-    config, seeds = RECIPES.get(EITOP).configuration("paper", **told), list(seeds)
+    config, seeds = RECIPES.get(setting.EITOP).configuration("paper", **told), list(seeds)
     return [
         LearnJob(
             f"as-printed-{budget}-eitop-{limit_mps2:g}",
             config,
             partial(literal_task, limit_mps2),
             seed,
-            about={"driver": EITOP, "start_mps2": limit_mps2},
+            about={"driver": setting.EITOP, "start_mps2": limit_mps2},
         )
         for limit_mps2 in POLICY_LIMITS_MPS2
         for seed in seeds
@@ -100,22 +83,26 @@ def measure(order: Order) -> LiteralRun:
         policies[float(result.job.about["start_mps2"])].append(write_result(folder, result))
     rows: list[ReportRow] = []
     for case_id in CASES[order.budget]:
-        rows += [row for one in _drive(BY_ID[case_id], policies) for row in _rows(one)]
-        order.say(f"{BY_ID[case_id].name} driven as printed")
+        rows += [row for one in _drive(setting.BY_ID[case_id], policies) for row in _rows(one)]
+        order.say(f"{setting.BY_ID[case_id].name} driven as printed")
     length = f"EITOP: {len(seeds)} seeds of {STEPS[order.budget]:,} steps of half a second on case 1 alone."
     return LiteralRun(rows, [length, *_findings(rows)])
 
 
-def _drive(case: PublishedCase, policies: dict[float, list[Path]]) -> list[EvaluatedRun]:
+def _drive(case: setting.PublishedCase, policies: dict[float, list[Path]]) -> list[EvaluatedRun]:
     """Drives of a case: literal EITOE, the limits of each, the expert at the arrivals of EITOP."""
-    literal = make_driver(EITOE, {"start_mps2": RULE2_MPS2, "intervals": True})
-    found = [EvaluatedRun(case, EITOE, [drive(replace(run_of(case), dt=STEP_S), literal)])]
+    literal = make_driver(setting.EITOE, {"start_mps2": setting.RULE2_MPS2, "intervals": True})
+    found = [EvaluatedRun(case, setting.EITOE, [drive(replace(setting.run_of(case), dt=STEP_S), literal)])]
     for limit in EXPERT_LIMITS_MPS2:
-        expert = make_driver(EITOE, {"start_mps2": limit})
-        found.append(EvaluatedRun(case, driver_at(EITOE, limit), [drive(run_of(case), expert)]))
+        expert = make_driver(setting.EITOE, {"start_mps2": limit})
+        found.append(
+            EvaluatedRun(case, driver_at(setting.EITOE, limit), [drive(setting.run_of(case), expert)])
+        )
     for limit, paths in policies.items():
-        drivers = [make_driver(EITOP, {"policy": str(path)}) for path in paths]
-        mine = EvaluatedRun(case, driver_at(EITOP, limit), [drive(run_of(case), one) for one in drivers])
+        drivers = [make_driver(setting.EITOP, {"policy": str(path)}) for path in paths]
+        mine = EvaluatedRun(
+            case, driver_at(setting.EITOP, limit), [drive(setting.run_of(case), one) for one in drivers]
+        )
         arrival = float(np.median([one.running_time_s for one in mine.drives]))
         experts = [(one, expert_at_arrival(one, limit)) for one in AT_ARRIVAL_MPS2[limit]]
         found += [mine, *(drive_at_arrival(case, arrival, one, name) for one, name in experts)]
@@ -125,7 +112,7 @@ def _drive(case: PublishedCase, policies: dict[float, list[Path]]) -> list[Evalu
 def _rows(one: EvaluatedRun) -> list[ReportRow]:
     """Rows of one drive; the limits of EITOE and EITOP stand beside the driver's published numbers."""
     at_arrival = "arrival" in one.driver
-    said = "" if at_arrival else EITOP if one.driver.startswith(EITOP) else EITOE
+    said = "" if at_arrival else setting.EITOP if one.driver.startswith(setting.EITOP) else setting.EITOE
 
     def row(kpi: str, unit: str, values: Iterable[float]) -> ReportRow:
         published = one.case.published_value(said, kpi)
@@ -133,30 +120,30 @@ def _rows(one: EvaluatedRun) -> list[ReportRow]:
 
     indices, kpis = one.indices, one.kpis
     found = [
-        row(IE, "J/kg", [i.energy_jpkg for i in indices]),
+        row(setting.IE, "J/kg", [i.energy_jpkg for i in indices]),
         row(ENERGY, "kWh", [k.energy_wheel_kwh for k in kpis]),
-        row(IC, "m/s²", [i.comfort_mps2 for i in indices]),
-        row(TOOK, "s", [k.running_time_s for k in kpis]),
+        row(setting.IC, "m/s²", [i.comfort_mps2 for i in indices]),
+        row(setting.TOOK, "s", [k.running_time_s for k in kpis]),
     ]
     if at_arrival:
         return found
     return [
         *found,
-        row(COAST, "m", [k.coasting_distance_m for k in kpis]),
-        row(TOP, "m/s", [k.max_speed_mps for k in kpis]),
+        row(setting.COAST, "m", [k.coasting_distance_m for k in kpis]),
+        row(setting.TOP, "m/s", [k.max_speed_mps for k in kpis]),
         row("Ip, parked", "", [float(i.parked) for i in indices]),
     ]
 
 
 def _findings(rows: Sequence[ReportRow]) -> list[str]:
     """Sentences on EITOP against the expert at the same limit and arrival, from the rows."""
-    ie = {(row.case, row.driver): row.ours for row in rows if row.kpi == IE}
+    ie = {(row.case, row.driver): row.ours for row in rows if row.kpi == setting.IE}
     found = []
     for limit in POLICY_LIMITS_MPS2:
         told = []
         for (case, driver), mine in ie.items():
             other = ie.get((case, expert_at_arrival(limit, limit)))
-            if driver == driver_at(EITOP, limit) and mine is not None and other is not None:
+            if driver == driver_at(setting.EITOP, limit) and mine is not None and other is not None:
                 told.append(f"{case}: {100.0 * (mine / other - 1.0):+.1f} %")
         found.append(
             f"Ie of EITOP against EITOE at the same limit ({limit:g} m/s²) and arrival: {'; '.join(told)}."
@@ -168,10 +155,10 @@ SETTINGS = (
     PrintedSetting(
         "largest acceleration (rule 2)",
         "below 0.6 m/s²",
-        f"{RULE2_MPS2:g} m/s², EITOP {GENTLE_MPS2[EITOP]:g} m/s²",
-        f"0.6 m/s²; {', '.join(driver_at(EITOE, one) for one in EXPERT_LIMITS_MPS2)} and "
-        f"{', '.join(driver_at(EITOP, one) for one in POLICY_LIMITS_MPS2)} as well: the published 364 "
-        "J/kg needs 0.8.",
+        f"{setting.RULE2_MPS2:g} m/s², EITOP {setting.GENTLE_MPS2[setting.EITOP]:g} m/s²",
+        f"0.6 m/s²; {', '.join(driver_at(setting.EITOE, one) for one in EXPERT_LIMITS_MPS2)} and "
+        f"{', '.join(driver_at(setting.EITOP, one) for one in POLICY_LIMITS_MPS2)} as well: the published "
+        "364 J/kg needs 0.8.",
     ),
     PrintedSetting(
         "window of eq. 14",
@@ -192,7 +179,7 @@ SETTINGS = (
     ),
     PrintedSetting(
         "episodes of learning",
-        f"about {EPISODES_TO_SETTLE} until the energy has fallen (figs. 5 and 6)",
+        f"about {setting.EPISODES_TO_SETTLE} until the energy has fallen (figs. 5 and 6)",
         "1,000,000 steps",
         "as many steps as this study; sizes and rates of PPO are not printed.",
     ),

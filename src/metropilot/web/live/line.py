@@ -8,14 +8,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from metropilot import operation
 from metropilot._io import fill_folder
 from metropilot.errors import InputError
-from metropilot.operation import (
-    RunningLine,
-    SlowSection,
-    TrainHold,
-    operation_energy,
-)
 from metropilot.web.live.engine import Event, LeverlessEngine
 from metropilot.web.work.plans import LineRequest, numbers, station
 
@@ -48,7 +43,7 @@ class LineEngine(LeverlessEngine):
 
     def __init__(self, request: RunningRequest) -> None:
         self.request = request
-        self.running = RunningLine(operation_energy(request.operation()))
+        self.running = operation.RunningLine(operation.operation_energy(request.operation()))
         self.steps = 0
         self.rows: list[tuple[float, list[float]]] = []
         self.shown: deque[tuple[Any, ...]] = deque(maxlen=round(WINDOW_S / ROW_S) + 1)
@@ -103,9 +98,9 @@ class LineEngine(LeverlessEngine):
         """
         kind, values = event["kind"], {name: value for name, value in event.items() if name != "kind"}
         if kind == "hold":
-            return self.running.hold(TrainHold(**values))
+            return self.running.hold(operation.TrainHold(**values))
         if kind == "slow":
-            return self.running.slow(SlowSection(**values))
+            return self.running.slow(operation.SlowSection(**values))
         raise InputError("unknown event of a line", field="kind", value=kind)
 
     def scene(self) -> dict[str, Any]:

@@ -16,20 +16,8 @@ from metropilot.units import J_PER_KWH, KMH_PER_MPS
 from metropilot.web import catalogue, evidence
 from metropilot.web.errors import Refused, error_of
 from metropilot.web.live.session import Session
+from metropilot.web.pages import form, plots
 from metropilot.web.pages import frame as parts
-from metropilot.web.pages import plots
-from metropilot.web.pages.form import (
-    DisturbanceForm,
-    DriverOptions,
-    SectionForm,
-    describe_driver,
-    describe_hidden,
-    driver_choice,
-    driver_names,
-    number_field,
-    other_options,
-    validate,
-)
 from metropilot.web.pages.moment import MomentSlider
 from metropilot.web.pages.runs import RunList
 from metropilot.web.pages.strip import line_strip, section_strip
@@ -92,9 +80,9 @@ class DrivePage(AbstractWatched):
         except MetropilotError as error:
             self.lost = error
         self.run = None if self.row is None else self.row.id
-        self.driver_options = DriverOptions()
-        self.form = SectionForm(service, self.update_section, self.update_plan)
-        self.disturbances = DisturbanceForm()
+        self.driver_options = form.DriverOptions()
+        self.form = form.SectionForm(service, self.update_section, self.update_plan)
+        self.disturbances = form.DisturbanceForm()
         self.wanted_s: float | None = None
         self.planning = False
         self.filling = False
@@ -104,7 +92,7 @@ class DrivePage(AbstractWatched):
         with ui.element("div").classes("mp-col"):
             with parts.card(_("Run")):
                 self.form.build()
-                drivers = driver_names(self.service)
+                drivers = form.driver_names(self.service)
                 first = "optimal" if "optimal" in drivers else next(iter(drivers))
                 self.driver = ui.select(drivers, value=first, label=_("Driver")).props(
                     "outlined dense options-dense"
@@ -169,7 +157,7 @@ class DrivePage(AbstractWatched):
 
     def say_driver(self) -> None:
         """Show what the chosen driver is, and its options."""
-        self.driver_words.text = describe_driver(self.driver.value)
+        self.driver_words.text = form.describe_driver(self.driver.value)
         self.driver_options.show(self.driver.value)
 
     def resumable(self) -> bool:
@@ -207,7 +195,7 @@ class DrivePage(AbstractWatched):
         ):
             self.news = parts.Problem()
             with ui.element("div").classes("mp-row"):
-                self.arrival = number_field(
+                self.arrival = form.number_field(
                     NewArrival, "scheduled_time_s", value=101, on_change=self.draw_arrival
                 )
                 self.news.beside("scheduled_time_s", self.arrival)
@@ -222,9 +210,11 @@ class DrivePage(AbstractWatched):
                     "flat dense no-caps"
                 )
             with ui.element("div").classes("mp-row"):
-                self.from_m = number_field(NewRestriction, "from_m", value=700, on_change=self.draw_draft)
-                self.to_m = number_field(NewRestriction, "to_m", value=900, on_change=self.draw_draft)
-                self.kmh = number_field(NewRestriction, "limit_mps", value=40, on_change=self.draw_draft)
+                self.from_m = form.number_field(
+                    NewRestriction, "from_m", value=700, on_change=self.draw_draft
+                )
+                self.to_m = form.number_field(NewRestriction, "to_m", value=900, on_change=self.draw_draft)
+                self.kmh = form.number_field(NewRestriction, "limit_mps", value=40, on_change=self.draw_draft)
                 for name, element in (("from_m", self.from_m), ("to_m", self.to_m), ("limit_mps", self.kmh)):
                     self.news.beside(name, element.props("outlined dense"))
             parts.ActionButton(_("Add speed restriction"), on_click=self.restrict).props(
@@ -276,21 +266,22 @@ class DrivePage(AbstractWatched):
         self.form.restore(body)
         with parts.set_quietly(self):
             self.disturbances.restore(body)
-        self.driver.value = driver_choice(self.service, self.driver, body["driver"], body["options"])
-        self.driver_options.show(self.driver.value, other_options(body["options"]))
-        self.form.kept_words.text = describe_hidden(self.form.kept, {})
+        self.driver.value = form.driver_choice(self.service, self.driver, body["driver"], body["options"])
+        self.driver_options.show(self.driver.value, form.other_options(body["options"]))
+        self.form.kept_words.text = form.describe_hidden(self.form.kept, {})
         session = self.session()
         pace = body.get("pace") if session is None else session.known.pace
         self.pace.value = pace if pace in PACES else self.pace.value
 
     async def update_section(self) -> None:
         """Draw the new section, except where a live run shows another."""
-        form = self.form
-        self.map.content = line_strip(form.line, (form.origin_in.value, form.destination_in.value))
-        if form.section is not None and (self.live() is None or not self.strip.content):
-            self.draw_section(form.section, form.trainset_in.value)
-        if self.live() is None and form.section is not None:
-            self.arrival.value = form.slider.value
+        self.map.content = line_strip(
+            self.form.line, (self.form.origin_in.value, self.form.destination_in.value)
+        )
+        if self.form.section is not None and (self.live() is None or not self.strip.content):
+            self.draw_section(self.form.section, self.form.trainset_in.value)
+        if self.live() is None and self.form.section is not None:
+            self.arrival.value = self.form.slider.value
             await self.update_plan()
 
     def draw_section(self, section: dict[str, Any], trainset: str) -> None:
@@ -332,7 +323,7 @@ class DrivePage(AbstractWatched):
             values = {**self.form.kept, **self.form.values(), **self.disturbances.values()}
             values |= {"driver": self.driver.value, "pace": float(self.pace.value)}
             values |= {"options": self.driver_options.values()}
-            body = validate(LiveIn, values)
+            body = form.validate(LiveIn, values)
             session = await self.go_live(body)
             self.draw_section(section, body.trainset)
             self.attach(session)
@@ -365,7 +356,7 @@ class DrivePage(AbstractWatched):
         with self.news.show_errors():
             if self.arrival.value is None:
                 raise InputError("a time is needed", field="scheduled_time_s", unit="s")
-            body = validate(NewArrival, {"scheduled_time_s": self.arrival.value})
+            body = form.validate(NewArrival, {"scheduled_time_s": self.arrival.value})
             await self.ask({"kind": "arrival", **body.model_dump()})
 
     async def shift(self, seconds: float) -> None:
@@ -412,7 +403,7 @@ class DrivePage(AbstractWatched):
                 "to_m": self.to_m.value,
                 "limit_mps": (self.kmh.value or 0) / KMH_PER_MPS,
             }
-            body = validate(NewRestriction, values)
+            body = form.validate(NewRestriction, values)
             await self.ask({"kind": "restriction", **body.model_dump()})
 
     async def change_pace(self) -> None:

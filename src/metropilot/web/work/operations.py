@@ -10,24 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from metropilot.operation import (
-    HEADWAYS_DRAWN,
-    DayEnergy,
-    LineOperation,
-    OperationEnergy,
-    OperationOptions,
-    Profiles,
-    TripFloors,
-    day_energy,
-    divide_zones,
-    feed_day,
-    feed_line,
-    operation_energy,
-    plan_trips,
-    train_paths,
-    write_day,
-    write_operation,
-)
+from metropilot import operation
 from metropilot.railway import Feeding, Line, ServiceDay, load_day, load_feeding, load_line, load_trainset
 from metropilot.web.store import JobStore
 from metropilot.web.work.drives import folder_of
@@ -64,7 +47,7 @@ class OperationRequest(LineRequest):
         """
         line = load_line(self.line)
         load_trainset(self.trainset, self.load)
-        divide_zones(line, self.options.zones)
+        operation.divide_zones(line, self.options.zones)
         day = None if self.day is None else load_day(self.day)
         feeding = None if self.feeding is None else load_feeding(self.feeding)
         for each in (day, feeding):
@@ -83,44 +66,44 @@ def line_job(root: str, job: str, request: OperationRequest) -> dict[str, Any]:
     _, day, feeding = request.read()
     searching = "searching" if request.optimise else "choosing"
     store.begin(job, "planning the trips", 0.05)
-    neutral = replace(request.options, headway_s=OperationOptions.headway_s)
+    neutral = replace(request.options, headway_s=operation.OperationOptions.headway_s)
     names = {name: getattr(request, name) for name in ("line", "trainset", "load")}
     planned, plans, floors = _plan(LineRequest(**names, options=neutral), request.optimise)
-    operation = planned.with_headway(headway_s)
+    running = planned.with_headway(headway_s)
     search = {"searched": request.optimise, "seed": request.seed, "plans": plans}
     store.update(job, progress=0.4, words=f"{searching} the timetable")
     if day is None:
-        found = operation_energy(operation, floors=floors, feeding=feeding, **search)
+        found = operation.operation_energy(running, floors=floors, feeding=feeding, **search)
         store.update(job, progress=0.7, words="checking headways and feeding")
-        fed = feeding and feed_line(operation, found.timetable, found.profiles, feeding)
+        fed = feeding and operation.feed_line(running, found.timetable, found.profiles, feeding)
         result = _headway_out(found, found.as_dict(fed))
         store.update(job, result=result, progress=0.8, words="drawing")
-        write_operation(folder, found, fed)
+        operation.write_operation(folder, found, fed)
     else:
-        of_day = day_energy(operation, day, **search)
+        of_day = operation.day_energy(running, day, **search)
         store.update(job, progress=0.7, words="adding up the day")
-        fed = feeding and feed_day(of_day.day, feeding, of_day.links)
+        fed = feeding and operation.feed_day(of_day.day, feeding, of_day.links)
         result = _day_out(of_day, of_day.as_dict(fed))
         store.update(job, result=result, progress=0.8, words="drawing")
         options = asdict(request) | asdict(request.options)
         del options["options"]
-        write_day(folder, of_day, options, fed)
+        operation.write_day(folder, of_day, options, fed)
     return result | {"files": sorted(path.name for path in folder.glob("[!.]*"))}
 
 
 @lru_cache(maxsize=PLANNED)
 def _plan(
     request: LineRequest, windows: bool
-) -> tuple[LineOperation, Mapping[str, Sequence[Profiles]], TripFloors]:
+) -> tuple[operation.LineOperation, Mapping[str, Sequence[operation.Profiles]], operation.TripFloors]:
     """Operation with the plans and floors of its trips; no headway changes these."""
-    operation = request.operation()
-    return operation, plan_trips(operation, windows=windows), TripFloors(operation)
+    running = request.operation()
+    return running, operation.plan_trips(running, windows=windows), operation.TripFloors(running)
 
 
-def _headway_out(found: OperationEnergy, energies: dict[str, Any]) -> dict[str, Any]:
+def _headway_out(found: operation.OperationEnergy, energies: dict[str, Any]) -> dict[str, Any]:
     headway_s = found.operation.options.headway_s
-    last_s = float(HEADWAYS_DRAWN * headway_s)
-    drawn = ((USES[path.use], path.time_s, path.position_m) for path in train_paths(found, last_s))
+    last_s = float(operation.HEADWAYS_DRAWN * headway_s)
+    drawn = ((USES[path.use], path.time_s, path.position_m) for path in operation.train_paths(found, last_s))
     backward, most = max(enumerate(found.headways()), key=lambda each: each[1].headway_s)
     least = most.bottleneck
     return {
@@ -136,7 +119,7 @@ def _headway_out(found: OperationEnergy, energies: dict[str, Any]) -> dict[str, 
     }
 
 
-def _day_out(found: DayEnergy, energies: dict[str, Any]) -> dict[str, Any]:
+def _day_out(found: operation.DayEnergy, energies: dict[str, Any]) -> dict[str, Any]:
     line, timetable = found.day.operation.line, found.day.timetable
     at_m = np.array([stop.position_m for stop in line.stations])
 
