@@ -684,11 +684,19 @@ class KpiPair(TypedDict):
 
 
 class LearnIn(TypedDict):
-    """A learning run of a recipe; null stands for the recipe's own value."""
+    """A learning run of a recipe; null stands for the recipe's own value.
+
+    ``line``: its sections are learned instead of the task's, ``sections`` as ORIGIN-DESTINATION,..., or
+    all of them, both ways. ``trainset``: instead of the task's, with ``load`` or each of its loads.
+    """
 
     driver: NotRequired[str]
     budget: NotRequired[Literal["quick", "paper"]]
     task: NotRequired[str | None]
+    line: NotRequired[str | None]
+    sections: NotRequired[str | None]
+    trainset: NotRequired[str | None]
+    load: NotRequired[str | None]
     steps: NotRequired[int | None]
     evaluations: NotRequired[int | None]
     seed: NotRequired[int]

@@ -506,6 +506,21 @@ def test_a_refusal_offers_what_a_request_can_send(server, body, field):
     assert "--set" not in str(error)
 
 
+@pytest.mark.parametrize(
+    ("body", "field"),
+    [
+        ({"line": "nowhere"}, "line"),
+        ({"line": "yizhuang", "sections": "RJ"}, "sections"),
+        ({"sections": "RJ-WYJ"}, "sections"),
+        ({"trainset": "nothing"}, "trainset"),
+        ({"load": "AW9"}, "load"),
+        ({"driver": "eitop", "line": "yizhuang"}, "task"),
+    ],
+)
+def test_where_nothing_can_be_learned_is_refused_at_once(server, body, field):
+    refusal_of(server.post("/api/jobs/learn", body, code=422), field)
+
+
 def test_a_form_without_a_file_says_so(server):
     error = refusal_of(server.client.post("/api/uploads", files={"file": (None, "a text")}).json(), "file")
     assert (error["message"], error["allowed"]) == ("wrong kind of value", "a file")

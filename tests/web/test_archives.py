@@ -52,7 +52,8 @@ def made(server):
     line = server.client.post("/api/uploads", files={"file": ("mine.toml", text.encode())}).json()["id"]
     learned = server.post("/api/jobs/learn", LEARN | {"steps": 4000, "evaluations": 1}, code=202)["id"]
     run = server.wait(learned)["run"]
-    stopped = server.post("/api/jobs/learn", LEARN, code=202)["id"]
+    there = {"line": line, "sections": "RJ-WYJ", "load": "AW2"}
+    stopped = server.post("/api/jobs/learn", LEARN | there, code=202)["id"]
     while len(server.get(f"/api/jobs/{stopped}")["run"] or "") == 0:
         time.sleep(0.05)
     while not server.get(f"/api/runs/{server.get(f'/api/jobs/{stopped}')['run']}/history")["columns"]:

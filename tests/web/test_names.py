@@ -75,6 +75,8 @@ def bodies(name):
     yield "/api/jobs/compare", {**SECTION, "drivers": [f"learned:policy={name}"]}
     yield "/api/jobs/learn", {"driver": name}
     yield "/api/jobs/learn", {"task": name}
+    yield "/api/jobs/learn", {"line": name}
+    yield "/api/jobs/learn", {"trainset": name}
     yield "/api/jobs/study", {"study": name}
 
 

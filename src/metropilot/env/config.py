@@ -44,7 +44,8 @@ class DrivingConfig:
         assists: Assists of the policy.
         dt: Control period of plant and protection, s.
         periods: Control periods of one decision.
-        most_decisions: Number of decisions after which an episode is truncated.
+        most_decisions: Number of decisions after which an episode is truncated; None: those that the outcome
+            rule leaves to the longest scheduled time.
         spacing_m: Distance between protection's nodes; the host uses 1 m. A coarser grid is stricter and
             faster.
     """
@@ -60,7 +61,7 @@ class DrivingConfig:
     assists: Assists = field(default_factory=Assists)
     dt: float = declare(0.5, unit="s", low=0.01, high=1.0)
     periods: int = declare(1, low=1)
-    most_decisions: int = declare(1000, low=1)
+    most_decisions: int | None = declare(1000, low=1)
     spacing_m: float = declare(4.0, unit="m", low=0.0, above=True)
 
     def __post_init__(self) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
 from typing import Any, NamedTuple, cast
@@ -91,6 +92,9 @@ class DrivingTask(AbstractTask):
         low, high = config.scenarios.times_s(minimum)
         self.minimum_s = minimum
         self.times_s = np.stack([low, high]).astype(np.float32)
+        period_s, rule = config.dt * config.periods, config.outcomes
+        longest_s = rule.late_ratio * float(high.max()) + rule.late_s
+        self.most_decisions = config.most_decisions or math.ceil(longest_s / period_s)
         longest = max(config.scenarios.delay_s[1] + t.actuation.delay_s for _, t in config.cases)
         self.pipeline = delay_steps(longest, config.dt) + 1
 
@@ -206,7 +210,7 @@ class DrivingTask(AbstractTask):
         plant = after.plant
         error = plant.position_m - self.rows.case(state.start.case).length_m
         terminated = after.outcome != RUNNING
-        truncated = (after.decisions >= config.most_decisions) & ~terminated
+        truncated = (after.decisions >= self.most_decisions) & ~terminated
         change = PeriodChange(
             wheel_j=plant.traction_j - state.plant.traction_j,
             line_j=plant.line_j - state.plant.line_j,

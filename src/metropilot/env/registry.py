@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import fields, replace
 from inspect import signature
@@ -16,7 +15,6 @@ from metropilot.env.config import (
     DOMAIN_ACTION,
     DOMAIN_ASSISTS,
     DOMAIN_OBSERVER,
-    EPISODE_RULE,
     REWARDS,
     DomainRandomization,
     DrivingConfig,
@@ -66,16 +64,8 @@ def _config(
     given = site or own
     sections, trainsets = (given if given.line else own).loaded_sections(), given.loaded_trainsets()
     if given != own:
-        # planning loads the solver; the registry is read without it
-        from metropilot.planning import minimum_running_time
-
         times = replace(times, longest_s=None)
-        longest_s = times.time_ratio[1] * max(
-            minimum_running_time(section, trainset) for section in sections for trainset in trainsets
-        )
-        period_s = DrivingConfig.dt * DrivingConfig.periods
-        decisions = math.ceil((EPISODE_RULE.late_ratio * longest_s + EPISODE_RULE.late_s) / period_s)
-        more["most_decisions"] = max(DrivingConfig.most_decisions, decisions)
+        more["most_decisions"] = None
         more["observer"] = DOMAIN_OBSERVER  # the tasks' own observers were chosen for one section
     if both:
         trainsets = (*(trainset.ideal() for trainset in trainsets), *trainsets)

@@ -111,12 +111,13 @@ def _check_campaign(service: Service, body: requests.CampaignIn) -> None:
     campaigns.read_declared(service.campaign_values(body), service.settings.campaign_rows)
 
 
-def _check_learning(_: Service, body: requests.LearnIn) -> None:
+def _check_learning(service: Service, body: requests.LearnIn) -> None:
+    from metropilot.env import TaskSite
     from metropilot.learn import recipe
 
     row = recipe(body.driver)
     row.configuration(body.budget, **learning.recipe_fields(body.model_dump()))
-    row.task_configuration(body.task)
+    row.task_configuration(body.task, TaskSite(**learning.site_fields(service.learn_values(body))))
 
 
 def _check_study(_: Service, body: requests.StudyIn) -> None:
@@ -195,7 +196,7 @@ JOB_KINDS: dict[str, KindRow] = {
         result=responses.LearnResult,
         check=_check_learning,
         work=learning.learn_job,
-        values=lambda _, body, run: (request_values(body), run),
+        values=lambda service, body, run: (service.learn_values(body), run),
         long=True,
         checkpoints=True,
     ),

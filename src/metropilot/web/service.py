@@ -222,6 +222,16 @@ class Service:
             number=body.number,
         )
 
+    def learn_values(self, body: requests.LearnIn) -> dict[str, Any]:
+        """Values of a learning run, a line and a trainset that are no entries of the catalogue as files.
+
+        Raises:
+            InputError: No such line or trainset.
+        """
+        values = body.model_dump()
+        kept = {kind: self.path(kind, values[kind]) for kind in ("line", "trainset") if values[kind]}
+        return values | kept
+
     def fit_request(self, body: requests.FitIn) -> fits.FitRequest:
         """Resolve the request of a fit.
 

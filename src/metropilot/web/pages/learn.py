@@ -53,12 +53,26 @@ class LearnPage:
                     on_change=self.say_recipe,
                 )
                 self.words = ui.label("").classes("mp-soft")
+                lines = {row["id"]: row["name"] for row in catalogue.line_rows(self.service)}
+                trainsets = {row["id"]: row["name"] for row in catalogue.trainset_rows(self.service)}
+                self.site: dict[str, Any] = {
+                    "line": ui.select(lines, label=_("Line"), clearable=True).props(
+                        parts.prop_of("hint", _("Empty: that of the task"))
+                    ),
+                    "sections": ui.input(_("Sections")).props(
+                        parts.prop_of("hint", _("ORIGIN-DESTINATION,...; empty: all of the line, both ways"))
+                    ),
+                    "trainset": ui.select(trainsets, label=_("Trainset"), clearable=True).props(
+                        parts.prop_of("hint", _("Empty: that of the task"))
+                    ),
+                }
                 self.steps = number_field(LearnIn, "steps", label=_("Environment steps"), step=50_000)
                 self.seed = number_field(LearnIn, "seed", label=_("Seed"), step=1)
                 self.problem = parts.Problem()
                 fields = (
                     ("driver", self.driver),
                     ("budget", self.budget),
+                    *self.site.items(),
                     ("steps", self.steps),
                     ("seed", self.seed),
                 )
@@ -107,6 +121,7 @@ class LearnPage:
         with self.problem.show_errors():
             values = {"driver": self.driver.value, "budget": self.budget.value}
             numbers = {"steps": self.steps.value, "seed": self.seed.value}
+            values |= {name: field.value or None for name, field in self.site.items()}
             self.job = self.service.submit(validate(LearnIn, {**values, **numbers}))
             self.follow()
 

@@ -347,13 +347,21 @@ class FitSaveIn(RequestBody):
 
 
 class LearnIn(RequestBody):
-    """A learning run of a recipe; null stands for the recipe's own value."""
+    """A learning run of a recipe; null stands for the recipe's own value.
 
-    model_config = example(driver="ppo", budget="quick")
+    ``line``: its sections are learned instead of the task's, ``sections`` as ORIGIN-DESTINATION,..., or all
+    of them, both ways. ``trainset``: instead of the task's, with ``load`` or each of its loads.
+    """
+
+    model_config = example(driver="ppo", budget="quick", line="yizhuang", sections="CQN-JHL")
 
     driver: Id = "ppo"
     budget: Literal["quick", "paper"] = "quick"
     task: Id | None = None
+    line: Id | None = None
+    sections: Annotated[str, Field(min_length=1, max_length=2_000)] | None = None
+    trainset: TrainsetKey | None = None
+    load: Annotated[str, Field(max_length=32)] | None = None
     steps: Annotated[int, Field(ge=1_000, le=50_000_000)] | None = None
     evaluations: Annotated[int, Field(ge=1, le=500)] | None = None
     seed: Annotated[int, Field(ge=0, lt=2**31)] = 0

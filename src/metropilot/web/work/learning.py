@@ -25,17 +25,23 @@ def _told(body: dict[str, Any]) -> dict[str, Any]:
     return {name: body[name] for name in ("budget", "task", "seed")} | recipe_fields(body)
 
 
+def site_fields(body: dict[str, Any]) -> dict[str, str | None]:
+    """The fields of the line and trainset that a learning job names."""
+    return {name: body.get(name) for name in ("line", "sections", "trainset", "load")}
+
+
 def learn_job(root: str, job: str, body: dict[str, Any], run: str | None) -> dict[str, Any]:
     """Start a learning run, or resume one.
 
     Args:
         root: Folder of the server's data.
         job: Id of the job.
-        body: Fields of :class:`metropilot.web.schemas.requests.LearnIn`.
+        body: Fields of :class:`metropilot.web.schemas.requests.LearnIn`, files by their paths.
         run: Id of the learning run to resume.
     """
     store = JobStore(Path(root))
     store.begin(job, "compiling")
+    from metropilot.env import TaskSite
     from metropilot.learn import (
         RunStore,
         TrainingOptions,
@@ -52,7 +58,7 @@ def learn_job(root: str, job: str, body: dict[str, Any], run: str | None) -> dic
         record = runs.show(run)
         request = resume_request(record, runs.folder(record.id))
     else:
-        request = new_request(body["driver"], **_told(body))
+        request = new_request(body["driver"], site=TaskSite(**site_fields(body)), **_told(body))
         record = begin_run(runs, request)
     store.update(job, run=record.id)
     told = runs.folder(record.id) / PROGRESS
@@ -83,7 +89,8 @@ def run_file_names(*, resumable: bool) -> tuple[str, ...]:
     """
     from metropilot.learn import CHECKPOINT_FILE, HISTORY_FILE, RECORD_FILE
 
-    return (RECORD_FILE, PROGRESS, HISTORY_FILE, POLICY_FILE, *([CHECKPOINT_FILE] if resumable else []))
+    again = [CHECKPOINT_FILE, "line.toml", "trainset.toml"] if resumable else []
+    return (RECORD_FILE, PROGRESS, HISTORY_FILE, POLICY_FILE, *again)
 
 
 def run_files(root: Path, run: str, *, resumable: bool) -> dict[str, bytes]:
@@ -115,7 +122,7 @@ def check_run(folder: str, body: dict[str, Any], resumable: bool) -> bool:
     Raises:
         InputError: One of them cannot be used.
     """
-    from metropilot.learn import HISTORY_FILE, new_request, read_history, record_of
+    from metropilot.learn import HISTORY_FILE, read_history, recipe, record_of, resume_request
     from metropilot.policy import load_driving_policy
 
     path = Path(folder)
@@ -133,9 +140,14 @@ def check_run(folder: str, body: dict[str, Any], resumable: bool) -> bool:
         load_driving_policy(path / POLICY_FILE)
     if not resumable:
         return True
-    request = new_request(body["driver"], **_told(body))
-    asked = (request.config, request.name, request.seed, request.driver)
-    return asked == (record.configuration(), record.task, record.seed, record.driver)
+    row = recipe(body["driver"])
+    config = row.configuration(body["budget"], **recipe_fields(body))
+    site = {name: body.get(name) for name in ("sections", "load")}
+    asked = (config, body["task"] or row.task, body["seed"], body["driver"], site)
+    kept_site = {name: record.about.get(name) for name in site}
+    kept = (record.configuration(), record.task, record.seed, record.driver, kept_site)
+    resume_request(record, path)
+    return asked == kept
 
 
 def keep_run(root: Path, run: str) -> None:
