@@ -12,7 +12,7 @@ from metropilot.convoy.drivers.own_place import most_in_gap
 from metropilot.convoy.model import convoy_members, member_bounds, open_channel
 from metropilot.convoy.own_plant import look_ahead, own_plant
 from metropilot.convoy.place import place_behind
-from metropilot.convoy.plan import MotionPlan, plan_at, plan_times
+from metropilot.convoy.plan import MotionPlan, PlannedMotion, plan_at, plan_times
 from metropilot.convoy.rollout import ConvoyRollout, DrivenHead
 from metropilot.convoy.step import (
     HALF,
@@ -332,6 +332,55 @@ def test_an_emergency_brake_ends_an_uncoupling(member, at_s):
     lengths_m = np.arange(3) * (load_trainset("dkz32").length_m + 100.0)
     stops_m = np.array([trajectory.position_m[-1] for trajectory in driven.trajectories])
     assert stops_m == pytest.approx(convoy.section.length_m - lengths_m, abs=0.05)
+
+
+@pytest.mark.parametrize(("member", "at_s"), [(0, 90.0), (1, 90.0)])
+def test_an_emergency_brake_while_gaps_open_leaves_nobody_beyond_the_mark(member, at_s):
+    """Plans had the efforts of other places and speeds, and a step in them: up to 18 m beyond the mark."""
+    asked = request(stops=("JG", "YZQ"), time_s=None, count=3, uncouple_at_m=1400.0)
+    asked = replace(asked, head=replace(asked.head, dt_s=0.2))
+    convoy = asked.convoy()
+    rollout = ConvoyRollout(convoy, asked.driven_head(convoy), asked.make_follower(), seed=0)
+    while not rollout.over:
+        if round(rollout.time_s, 1) == at_s:
+            brake_fully(rollout, member)
+        rollout.advance()
+    driven = rollout.result()
+    lengths_m = np.arange(3) * (load_trainset("dkz32").length_m + 100.0)
+    stops_m = np.array([trajectory.position_m[-1] for trajectory in driven.trajectories])
+    assert stops_m == pytest.approx(convoy.section.length_m - lengths_m, abs=0.05)
+
+
+def test_an_emergency_brake_lets_nobody_part_from_a_trainset_that_ends_before_the_place():
+    """The last of three, whose trainset ahead ended 18 m before the place, waited 94 m short of its mark."""
+    asked = request(stops=("RJ", "WYJ"), time_s=130.0, count=3, uncouple_at_m=1080.0)
+    asked = replace(asked, head=replace(asked.head, dt_s=0.2))
+    convoy = asked.convoy()
+    rollout = ConvoyRollout(convoy, asked.driven_head(convoy), asked.make_follower(), seed=0)
+    while not rollout.over:
+        if round(rollout.time_s, 1) == 60.0:
+            brake_fully(rollout, 1)
+        rollout.advance()
+    driven = rollout.result()
+    assert driven.gap_m[-1] == pytest.approx([100.0, 5.92], abs=0.3)
+    assert all(abs(member.stopping_error_m) < 0.3 for member in convoy_kpis(driven, 130.0).trainsets)
+
+
+def test_a_new_plan_has_no_step_in_the_speeds_before_it():
+    """It was read as an acceleration of the trainset ahead, up to 75 m/s2: speeds swung for a second."""
+    trainset = load_trainset("dkz32")
+    member = convoy_members(Convoy(YIZHUANG.section("RJ", "WYJ"), (trainset,) * 2, dt=DT))[1]
+    ahead = ramp()
+    length_m = trainset.length_m
+    own = place_behind(
+        ahead,
+        member,
+        length_m,
+        10.0,
+        lambda times: np.full(np.shape(times), 5.92),
+        PlannedMotion(-110.0, 3.0, 0.0),
+    )
+    assert np.abs(np.diff(own.speed_mps)).max() / DT < 1.1
 
 
 ON_PLAN = ("follow_plan", "follow_gap", "follow_mpc")

@@ -17,7 +17,7 @@ from metropilot._typing import Float
 from metropilot.convoy.model import Member
 from metropilot.convoy.needed import NeededGap, delay_along
 from metropilot.convoy.own_plant import most_bandwidth
-from metropilot.convoy.plan import STANDING_MPS, MotionPlan, PlannedMotion, plan_times, stand_on
+from metropilot.convoy.plan import STANDING_MPS, MotionPlan, PlannedMotion, lead_to, plan_times, stand_on
 from metropilot.convoy.step import gap_per_mps
 from metropilot.physics import effort_limits, kept_share
 from metropilot.protection import permitted_speed
@@ -58,6 +58,8 @@ CREEP_MPS, CREEP_M = 0.05, 0.2
 """Speed and distance with which a planned motion ends: it is shifted to the mark and does not creep there."""
 SHIFT_FROM_M, SHIFT_TO_M = 60.0, 1.0
 """Distances to the own mark between which a planned motion is shifted to end there."""
+PASSES, FAR_BEHIND_M = 8, 10.0
+"""Most passes that find a motion far from the wanted one; distance up to which one is enough."""
 APPROACH_S = 1.0
 """Time constant with which a planned motion approaches the permitted speed, without dead time and lag."""
 DELAY_USE, BRAKING_USE = 0.4, 0.85
@@ -106,7 +108,8 @@ def place_behind(
         now = _motion_now(before, dt)
     # A departure from an earlier plan is not carried into the new one.
     before = before + (now.position_m - before[-1])
-    parts = np.isfinite(member.uncouple_at_m) and not coordinated
+    # It parts where the trainset ahead passes the place; one that ends before it stays coupled.
+    parts = not coordinated and rear[-1] - member.gap_m >= member.uncouple_at_m
     base = ahead._replace(position_m=rear - float(member.apart_m if parts else member.gap_m))
     need = None
     if member.protection is not None:
@@ -121,9 +124,11 @@ def place_behind(
     else:
         wanted = delay_motion(base, needed_delay(member, need, base, first, float(before[-1])))
     own = make_drivable(member, wanted, first, now, coordinated=coordinated)
-    position_m = np.concatenate([before[:-1], own.position_m])
-    speed_mps = np.concatenate([np.gradient(position_m[: first + 2], dt)[:first], own.speed_mps])
-    own = own._replace(position_m=position_m, speed_mps=speed_mps)
+    known_mps = np.gradient(before, dt) if first else own.speed_mps[:1]
+    own = own._replace(
+        position_m=np.concatenate([before[:-1], own.position_m]),
+        speed_mps=np.concatenate([lead_to(known_mps, own.speed_mps[0])[:-1], own.speed_mps]),
+    )
     moving = np.flatnonzero(own.speed_mps > STANDING_MPS)
     # As long as that of the trainset ahead, or until it stands.
     rows = max(rows, moving[-1] + 2 if moving.size else 0)
@@ -259,8 +264,29 @@ def make_drivable(
         now: Motion there.
         coordinated: True while the trainset couples or uncouples: it closes a gap no faster than that allows.
     """
+    wanted = wanted._replace(position_m=wanted.position_m[first:], speed_mps=wanted.speed_mps[first:])
+    own = wanted
+    # Far behind the wanted motion efforts and limits are not those of its places and speeds.
+    for _ in range(PASSES):
+        along, own = own, _drive_near(member, wanted, own, now, coordinated=coordinated)
+        if np.abs(own.position_m - along.position_m).max() <= FAR_BEHIND_M:
+            break
+    # The end is the own mark, whatever the corrections have left.
+    moved, length_m = own.position_m, SHIFT_FROM_M - SHIFT_TO_M
+    shift_m = wanted.position_m[-1] - moved[-1]
+    done = np.clip((moved - moved[-1] + SHIFT_FROM_M) / length_m, 0.0, 1.0)
+    return wanted._replace(
+        position_m=moved + shift_m * done * done * (3.0 - 2.0 * done),
+        speed_mps=own.speed_mps * (1.0 + shift_m * 6.0 * done * (1.0 - done) / length_m),
+    )
+
+
+def _drive_near(
+    member: Member, wanted: MotionPlan, along: MotionPlan, now: PlannedMotion, *, coordinated: bool
+) -> MotionPlan:
+    """Motion near a wanted one, with the efforts and permitted speeds along another one that is near."""
     vehicle, dt = member.believed, float(wanted.period_s)
-    position_m, speed_mps = wanted.position_m[first:], wanted.speed_mps[first:]
+    position_m, speed_mps = along.position_m, along.speed_mps
     limits = effort_limits(vehicle, member.track, position_m, speed_mps)
     most = EFFORT_USE * limits.traction_mps2 - limits.drag_mps2
     most = np.minimum(most, RATE_USE * float(vehicle.max_acceleration_mps2)).tolist()
@@ -269,7 +295,7 @@ def make_drivable(
         -BRAKE_LIMIT * float(vehicle.max_deceleration_mps2),
     )
     least = np.maximum(least, -BRAKE_LIMIT * float(member.most_mps2)).tolist()
-    wanted_m, wanted_mps = position_m.tolist(), speed_mps.tolist()
+    wanted_m, wanted_mps = wanted.position_m.tolist(), wanted.speed_mps.tolist()
     permitted = np.full(position_m.size, np.inf)
     if member.protection is not None:
         permitted = permitted_speed(member.protection, position_m) - PLANNED_UNDER_MPS
@@ -290,10 +316,12 @@ def make_drivable(
     answers = 1.0 - kept_share(float(vehicle.lag_s), dt)
     most_down = FALL_BACK_MPS2 if float(vehicle.delay_s + vehicle.lag_s) > 0.0 else np.inf
     reached_m, stop_m2ps2 = _braking_energy(
-        position_m, np.maximum(least, -BRAKE_LIMIT * limits.brake_mps2 - limits.drag_mps2)
+        position_m,
+        np.maximum(least, -BRAKE_LIMIT * limits.brake_mps2 - limits.drag_mps2),
+        float(wanted.position_m[-1]),
     )
     builds_s = max(dt, float(vehicle.lag_s) - 0.5 * min(least) * dt / jerk)
-    stands = np.flatnonzero(speed_mps > CREEP_MPS).max(initial=0)
+    stands = np.flatnonzero(wanted.speed_mps > CREEP_MPS).max(initial=0)
     x, v, a = now
     positions, speeds = [x], [v]
     for k in range(len(wanted_m) - 1):
@@ -305,8 +333,10 @@ def make_drivable(
         catching_up = max(min(2.0 * w * (wanted_mps[k] + faster - v), most_up), -most_down)
         free = min(rise + catching_up, (cap[k + 1] - v) / late_s)
         # Whoever is late still ends at its mark with its own brakes.
-        stop_mps = math.sqrt(2.0 * float(np.interp(x + v * dt, reached_m, stop_m2ps2)))
-        free = min(free, least[k] + (stop_mps - v) / builds_s)
+        # What accelerates gains speed until its jerk limit has ended that.
+        ends_s = max(a, 0.0) * dt / jerk
+        stop_mps = math.sqrt(2.0 * float(np.interp(x + v * (dt + ends_s), reached_m, stop_m2ps2)))
+        free = min(free, least[k] + (stop_mps - v - 0.5 * a * ends_s) / builds_s)
         # A motion that a lag shapes takes no larger commands for it, which protection would count.
         lagged = a + answers * (min(max(free, least[k]), most[k]) - a)
         a = min(max(lagged, a - jerk), a + jerk)
@@ -316,22 +346,15 @@ def make_drivable(
         x, v = x + 0.5 * (v + after) * dt, after
         positions.append(x)
         speeds.append(v)
-    # The end is the own mark, whatever the corrections have left.
-    moved = np.array(positions)
-    length_m, shift_m = SHIFT_FROM_M - SHIFT_TO_M, position_m[-1] - moved[-1]
-    done = np.clip((moved - moved[-1] + SHIFT_FROM_M) / length_m, 0.0, 1.0)
-    return wanted._replace(
-        position_m=moved + shift_m * done * done * (3.0 - 2.0 * done),
-        speed_mps=np.array(speeds) * (1.0 + shift_m * 6.0 * done * (1.0 - done) / length_m),
-    )
+    return wanted._replace(position_m=np.array(positions), speed_mps=np.array(speeds))
 
 
 def _braking_energy(
-    position_m: Float[ndarray, " rows"], least_mps2: Float[ndarray, " rows"]
-) -> tuple[Float[ndarray, " rows"], Float[ndarray, " rows"]]:
-    """Positions reached, and the kinetic energy per kg there from which the accelerations end at the last."""
-    reached_m = np.maximum.accumulate(position_m)
-    taken = np.maximum(-least_mps2[1:], 0.0) * np.diff(reached_m)
+    position_m: Float[ndarray, " rows"], least_mps2: Float[ndarray, " rows"], mark_m: float
+) -> tuple[Float[ndarray, " reached"], Float[ndarray, " reached"]]:
+    """Positions reached up to the mark, and the kinetic energy per kg there from which braking ends there."""
+    reached_m = np.minimum(np.maximum.accumulate(np.append(position_m, mark_m)), mark_m)
+    taken = np.maximum(-np.append(least_mps2[1:], least_mps2[-1]), 0.0) * np.diff(reached_m)
     return reached_m, np.append(np.cumsum(taken[::-1])[::-1], 0.0)
 
 

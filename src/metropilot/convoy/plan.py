@@ -72,12 +72,20 @@ def splice(before: MotionPlan, plan: MotionPlan) -> MotionPlan:
     position_m, speed_mps = (np.array([at[field] for at in known]) for field in range(2))
     # The new plan begins where the trainset is, and at its speed, not where it was planned to be.
     position_m += plan.position_m[0] - position_m[-1]
-    speed_mps += (plan.speed_mps[0] - speed_mps[-1]) * np.linspace(0.0, 1.0, rows + 1)
+    speed_mps = lead_to(speed_mps, plan.speed_mps[0])
     return plan._replace(
         start_s=np.float64(start_s),
         position_m=np.concatenate([position_m[:-1], plan.position_m]),
         speed_mps=np.concatenate([speed_mps[:-1], plan.speed_mps]),
     )
+
+
+def lead_to(speed_mps: Float[ndarray, " rows"], last_mps: float) -> Float[ndarray, " rows"]:
+    """Speeds of the past changed little by little to end with the first of a new plan (NumPy).
+
+    A step between the two would be read as an acceleration that was planned.
+    """
+    return speed_mps + (last_mps - speed_mps[-1]) * np.linspace(0.0, 1.0, speed_mps.size)
 
 
 def stand_on(plan: MotionPlan, rows: int) -> MotionPlan:

@@ -179,11 +179,12 @@ def own_place(
     if observation.plan is None:
         return memory._replace(alone=1.0 + 0.0 * memory.alone), alone
     planned = plan_at(observation.plan, then_s)
-    # The own place moves on without a step when a new plan comes, unless the trainset (nearly) stands.
+    # The own place moves on without a step when a new plan comes, unless the trainset (nearly) stands, or
+    # kept the desired gap behind one that had left its plan: the new one begins where the trainset is.
     fresh = observation.plan_number != memory.number
     step_m = memory.place_m - planned.position_m
     nearly = (observation.speed_mps <= BEGINS_MPS) & (xp.abs(step_m) > SHIFT_M)
-    begins = (memory.number <= 0.0) | nearly
+    begins = (memory.number <= 0.0) | nearly | (memory.alone > 0.0)
     step_m = xp.where(begins, 0.0, step_m)
     step_mps = xp.where(begins, 0.0, memory.place_mps - planned.speed_mps)
     off_m = xp.where(fresh, step_m, memory.off_m)
