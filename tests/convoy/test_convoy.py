@@ -138,6 +138,9 @@ def test_a_silent_link_stops_the_followers_short_of_the_head():
     drive = run(link=Link(silent_from_s=15.0))
     assert drive.contacts == 0
     assert drive.gap_m[:, 0].max() > 20.0
+    kpis = convoy_kpis(drive, drive.time_s[-1])
+    assert kpis.outcome == kpis.trainsets[1].outcome == "link_silent"
+    assert "trainset 2 link silent" in kpis.verdict
 
 
 def test_a_convoy_couples_and_uncouples_on_the_move():

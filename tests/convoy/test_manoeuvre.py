@@ -47,6 +47,19 @@ def test_a_convoy_couples_and_parts_before_its_place(drive: ConvoyDrive, kpis: C
     assert kpis.as_dict()["manoeuvres"][0]["kind"] == "coupling"
 
 
+def test_an_uncoupling_begins_where_the_gap_opens_for_it():
+    """It began at departure, 118 m before the origin, where protection had opened the gap from 6 to 36 m."""
+    drive = replace(REQUEST, start_gap_m=None).drive()
+    for opened_m in (6.0, 36.0):
+        time_s = drive.time_s
+        gap_m = np.interp(
+            time_s, [0.0, 20.0, 40.0, 60.0, 70.0, 90.0], [5.92, opened_m, opened_m, 12.0, 12.0, 50.0]
+        )
+        parting = find_manoeuvres(replace(drive, gap_m=gap_m[:, None]))[0]
+        assert parting.begun_s == pytest.approx(70.2, abs=0.25)
+        assert parting.gap_from_m == pytest.approx(12.0, abs=0.6)
+
+
 def test_closing_and_opening_a_gap_take_more_energy_than_keeping_it(kpis: ConvoyKpis):
     for each in kpis.manoeuvres:
         assert each.energy_kwh > each.apart_energy_kwh > 0.0

@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 
 
 OVERSPEED_MPS = 1e-6
-CONTACT, NO_CONTACT = "contact", "no contact"
+CONTACT, NO_CONTACT, LINK_SILENT = "contact", "no contact", "link_silent"
 MANOEUVRES_CHECK = "couples and parts in time"
 NAMED = 3
 """Largest number of failed trainsets that a headline names."""
@@ -51,7 +51,8 @@ class MemberKpis:
     Attributes:
         number: 1 is the head.
         driver: Id of its driver.
-        outcome: Outcome of its own run at its own mark; ``contact`` if it touched the trainset ahead.
+        outcome: Outcome of its own run at its own mark; ``contact`` if it touched the trainset ahead;
+            ``link_silent`` if it stands short of its mark and no message was sent to it since it stopped.
         mass_kg: True mass.
         running_time_s: Running time until its last standstill.
         time_error_s: Running time minus scheduled time; positive is late.
@@ -257,7 +258,7 @@ def _marks(drive: ConvoyDrive) -> list[float]:
     return marks
 
 
-def _member_outcome(drive: ConvoyDrive, k: int, error_m: float) -> str:
+def _member_outcome(drive: ConvoyDrive, k: int, error_m: float, stands_s: float) -> str:
     """Outcome of one trainset."""
     if k and bool((drive.gap_m[:, k - 1] < 0).any()):
         return CONTACT
@@ -269,7 +270,8 @@ def _member_outcome(drive: ConvoyDrive, k: int, error_m: float) -> str:
         return Outcome.OUT_OF_TIME.value
     if abs(error_m) <= STOP_TOLERANCE_M:
         return Outcome.ARRIVED.value
-    return (Outcome.OVERSHOT if error_m > 0 else Outcome.STALLED).value
+    short = LINK_SILENT if drive.heard_s[k] <= stands_s else Outcome.STALLED.value
+    return Outcome.OVERSHOT.value if error_m > 0 else short
 
 
 def _member(drive: ConvoyDrive, k: int, scheduled_time_s: float, mark_m: float) -> MemberKpis:
@@ -286,7 +288,7 @@ def _member(drive: ConvoyDrive, k: int, scheduled_time_s: float, mark_m: float) 
     return MemberKpis(
         number=k + 1,
         driver=drive.follower if k else drive.head,
-        outcome=_member_outcome(drive, k, error),
+        outcome=_member_outcome(drive, k, error, stands),
         mass_kg=known.mass_kg * disturbance.mass_factor,
         running_time_s=stands,
         time_error_s=stands - scheduled_time_s,

@@ -46,7 +46,7 @@ class Manoeuvre:
     Attributes:
         kind: ``coupling`` or ``uncoupling``.
         trainset: Number of the follower; 1 is the head.
-        begun_s: Time since departure at which the gap begins to change.
+        begun_s: Time since departure at which the gap begins to close, or to open from what is needed before.
         done_s: Time from which, for ``HOLD_S`` and while both it and the trainset ahead move, a gap is closed
             within ``BAND_M`` and the speed difference within ``BAND_MPS``; or is open within ``BAND_M``, and
             up to the place. None: never.
@@ -120,9 +120,9 @@ def find_manoeuvres(drive: ConvoyDrive) -> tuple[Manoeuvre, ...]:
             place = int(np.searchsorted(at_m, convoy.uncouple_at_m))
             opened = first + int(np.flatnonzero(~is_open[first : place + 1]).max(initial=-1)) + 1
             done = _first_held(is_open, opened, last, convoy.dt)
-            before = gap[first : 1 + (last if done is None else done)]
-            near = np.flatnonzero(before <= before.min() + BAND_M)
-            found.append(_manoeuvre(drive, "uncoupling", k, first + int(near[-1]), done, last))
+            opens = gap[first : 1 + (last if done is None else done)]
+            begun = first + _last_held(opens, max(round(HOLD_S / convoy.dt), 1))
+            found.append(_manoeuvre(drive, "uncoupling", k, begun, done, last))
     return tuple(found)
 
 
@@ -142,6 +142,17 @@ def _first_held(within: Bool[ndarray, " rows"], first: int, last: int, dt: float
         return None
     held = np.lib.stride_tricks.sliding_window_view(within[first : last + 1], rows).all(axis=1)
     return first + int(held.argmax()) if held.any() else None
+
+
+def _last_held(gap_m: Float[ndarray, " rows"], rows: int) -> int:
+    """Last row before a gap is half open at which it has not opened for so many rows.
+
+    Protection may have opened it before, by metres, when the convoy departed or met a fall.
+    """
+    earlier = np.concatenate([np.full(min(rows, gap_m.size), gap_m[0]), gap_m[:-rows]])
+    held = gap_m - earlier <= BAND_M
+    half = gap_m <= 0.5 * (gap_m.min() + gap_m[-1])
+    return int(np.flatnonzero(held & half).max(initial=0))
 
 
 def _manoeuvre(

@@ -89,6 +89,7 @@ class ConvoyDrive:
         overspeed_mps: Largest excess over the limit of each. Shape (N,).
         decision_us: Median time of a decision of each follower, microseconds. Shape (N,), 0 for the head.
         recovered_j: Energy returned to the line by each. Shape (N,).
+        heard_s: Time at which the newest message that each has received was sent; 0 for the head. Shape (N,).
     """
 
     convoy: Convoy
@@ -105,6 +106,7 @@ class ConvoyDrive:
     overspeed_mps: tuple[float, ...]
     decision_us: tuple[float, ...]
     recovered_j: tuple[float, ...]
+    heard_s: tuple[float, ...]
 
     @property
     def contacts(self) -> int:
@@ -608,6 +610,7 @@ class ConvoyRollout:
             overspeed_mps=tuple(recorder.overspeed_mps for recorder in self.recorders),
             decision_us=tuple(float(np.median(times)) if times else 0.0 for times in self.decision_us),
             recovered_j=tuple(float(s.plant.recovered_j) for s in self.states),
+            heard_s=tuple(float(s.channel.heard.stamp_s) for s in self.states),
         )
 
 

@@ -31,6 +31,7 @@ WORDS = (
     N_("stalled"),
     N_("out of time"),
     N_("contact"),
+    N_("link silent"),
     N_("intervention"),
     N_("arrived safely and on time"),
     N_("arrived on time"),
