@@ -559,6 +559,17 @@ def test_an_acceleration_ends_before_the_gap_that_it_will_need(gap_m):
     assert float(most_in_gap(prompt, ahead)) > 100.0
 
 
+def test_a_constant_speed_on_a_climb_takes_more_gap_than_coasting():
+    """It was allowed at the gap for coasting: four interventions, the last of five trainsets 49 s late."""
+    seen = observe_follower(SLOW, speed_mps=12.0, pending=0.0, gap_m=20.0, ahead_mps=12.0)
+    plant = own_plant(vehicle_arrays(SLOW), DT)
+    plant = plant._replace(motion=plant.motion._replace(speed_mps=np.float64(12.0)))
+    climbs = look_ahead(plant, seen)._replace(speed_mps=np.float64(12.0), gradient_mps2=np.float64(0.25))
+    coasts = seen._replace(gap_m=seen.needs.coasting_m + 0.1)
+    assert most_in_gap(coasts, climbs) < -0.25
+    assert most_in_gap(seen._replace(gap_m=seen.needs.half_m), climbs) < HALF * climbs.traction_mps2 - 0.25
+
+
 @pytest.mark.parametrize(
     ("follower", "trainset", "stops"),
     [

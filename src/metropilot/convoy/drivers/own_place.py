@@ -292,14 +292,17 @@ def most_in_gap(observation: FollowerObservation, ahead: PredictedState) -> Scal
     drag = ahead.resistance_mps2 + ahead.gradient_mps2
     spare_m = left_m - needs.coasting_m
     pulls_m, brakes_m = (xp.maximum(per_mps * (vehicle.lag_s + time_s), 1e-3) for time_s in (PULL_S, BRAKE_S))
-    least = spare_m / xp.where(spare_m > 0.0, pulls_m, brakes_m)
-    # Above what is on its way a larger command needs more now, too.
-    first = xp.maximum(needs.on_its_way * ahead.traction_mps2 - drag, 0.0)
+    # Above what is on its way a larger command needs more now, too; on a climb so does a constant speed.
+    first = needs.on_its_way * ahead.traction_mps2 - drag
+    first = xp.where(ahead.gradient_mps2 > 0.0, first, xp.maximum(first, 0.0))
+    least = xp.minimum(first, 0.0) + spare_m / xp.where(spare_m > 0.0, pulls_m, brakes_m)
     full = xp.maximum(ahead.traction_mps2 - drag, first + 1e-3)
     half = xp.clip(xp.maximum(HALF, needs.on_its_way) * ahead.traction_mps2 - drag, first, full)
     rates = first, half, full
     now_m = needs.coasting_m, needs.half_m, needs.pulling_m
-    gaps_m = tuple(need_m + pulls_m * mps2 for need_m, mps2 in zip(now_m, rates, strict=True))
+    gaps_m = tuple(
+        need_m + pulls_m * xp.maximum(mps2, 0.0) for need_m, mps2 in zip(now_m, rates, strict=True)
+    )
     most = xp.where(left_m > gaps_m[0], most_within(left_m, gaps_m, rates), least)
     limited = (vehicle.delay_s + vehicle.lag_s > 0.0) & (needs.pulling_m > 0.0)
     return xp.where(limited, most, HARSH_MPS2)
