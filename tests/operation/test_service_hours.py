@@ -11,6 +11,7 @@ from metropilot.errors import Infeasible
 from metropilot.operation import (
     LineOperation,
     OperationOptions,
+    ScatteredEnergy,
     ServiceHours,
     ServiceScatter,
     TripDrives,
@@ -113,10 +114,11 @@ def test_with_a_network_all_energies_are_its_own():
     assert told["energy_kwh"] < told["timetable_only_kwh"]
     assert found.scattered[0].energy_kwh == pytest.approx(told["energy_kwh"], rel=0.02)
     weak = replace(network(), substations=(replace(network().substations[0], resistance_ohm=0.12),))
+    named = operation_energy(operation(), plans=plans(), feeding=weak, scatter=scatter)
+    assert named.network_kwh["cruise_kwh"] is None
+    assert named.scattered == (ScatteredEnergy(3.0, None, None),)
     with pytest.raises(Infeasible, match="train"):
-        operation_energy(operation(), plans=plans(), feeding=weak, scatter=scatter)
-    named = operation_energy(operation(), plans=plans(), feeding=weak).network_kwh
-    assert named["cruise_kwh"] is None
+        feed_line(operation(), named.timetable, named.profiles, weak)
 
 
 def test_draws_are_those_of_the_seed():

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Row = Mapping[str, Any]
+SCATTERED = "energy_kwh", "deviation_kwh"
 DRIVINGS = "cruise_kwh", "driving_only_kwh", "timetable_only_kwh", "energy_kwh"
 ABOUT = """\
 Energies in kWh: of a headway those of one train in a round trip, of a day those of all journeys; those of a
@@ -73,7 +74,7 @@ def _values(sweep: LineSweep, row: Row) -> list[str]:
         plain, found = row["driver_plain_kwh"], row["driver_energy_kwh"]
         values += [number(plain, 1), number(found, 1), number(saved_percent(found, plain), 1)]
     scattered = row["scattered"] or ()
-    return [*values, *(f"{each['energy_kwh']:.1f} ± {each['deviation_kwh']:.1f}" for each in scattered)]
+    return [*values, *(" ± ".join(number(each[name], 1) for name in SCATTERED) for each in scattered)]
 
 
 def report_lines(sweep: LineSweep, rows: Sequence[Row]) -> list[str]:

@@ -99,7 +99,7 @@ def compute_day(operation: LineOperation, request: DayRequest) -> DayEnergy:
 
 
 def energy_cells(
-    found: OperationEnergy | DayEnergy, rows: Sequence[tuple[str, str, float]], digits: int
+    found: OperationEnergy | DayEnergy, rows: Sequence[tuple[str, str, float | None]], digits: int
 ) -> list[tuple[str, ...]]:
     """Cells of energies: driving, timetable, kWh, saved against cruise and brake, above the floor."""
     from metropilot.operation import saved_and_gap_percent
@@ -115,7 +115,7 @@ def print_day(found: DayEnergy, fed: FeedingEnergy | None) -> None:
     """Print the energies of a day, its hours and what a network makes of it."""
     operation, timetable, driven = found.day.operation, found.day.timetable, found.driven
     given = not found.period_names
-    rows = [
+    rows: list[tuple[str, str, float | None]] = [
         ("cruise and brake", "given" if given else "plain, mean offset", found.cruise_kwh),
         ("optimal driving", "given" if given else "plain, mean offset", found.driving_only_kwh),
     ]
@@ -163,12 +163,16 @@ def print_scatter(found: DayEnergy | OperationEnergy) -> None:
     driven, out = found.driven, console()
     if driven is not None:
         out.print(
-            f"{driven.driver}: {driven.plain_kwh:.1f} kWh with the plain timetable, {driven.energy_kwh:.1f} "
-            f"with the one found; arrives {driven.mean_late_s:+.1f} s after the timetable, standard "
-            f"deviation {driven.scatter_s:.1f} s."
+            f"{driven.driver}: {number(driven.plain_kwh, 1)} kWh with the plain timetable, "
+            f"{number(driven.energy_kwh, 1)} with the one found; arrives "
+            f"{driven.mean_late_s:+.1f} s after the timetable, standard deviation {driven.scatter_s:.1f} s."
         )
     for each in found.scattered:
         out.print(
-            f"Departures that scatter by {each.seconds:g} s: {each.energy_kwh:.1f} kWh with optimal driving, "
-            f"standard deviation {each.deviation_kwh:.1f}."
+            f"Departures that scatter by {each.seconds:g} s: {number(each.energy_kwh, 1)} kWh with optimal "
+            f"driving, standard deviation {number(each.deviation_kwh, 1)}."
         )
+    known = [each.energy_kwh for each in found.scattered]
+    known += [] if driven is None else [driven.plain_kwh, driven.energy_kwh]
+    if None in known:
+        out.print("–: the network cannot carry the load of that hour.")

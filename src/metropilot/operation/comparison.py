@@ -2,12 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
+
+import numpy as np
 
 from metropilot.operation.line_service import EnergyBalance, LineOperation
 from metropilot.planning import excess_percent
 from metropilot.units import J_PER_KWH
+
+
+def mean_of_all(values: Sequence[float | None]) -> float | None:
+    """Mean, None where one is missing: that of the others would be a better case."""
+    known = [each for each in values if each is not None]
+    return float(np.mean(known)) if len(known) == len(values) else None
 
 
 def saved_percent(kwh: float | None, plain_kwh: float | None) -> float | None:
@@ -24,15 +33,17 @@ def saved_percent(kwh: float | None, plain_kwh: float | None) -> float | None:
 
 
 def saved_and_gap_percent(
-    kwh: float, plain_kwh: float, floor_kwh: float
+    kwh: float | None, plain_kwh: float, floor_kwh: float
 ) -> tuple[float | None, float | None]:
     """Energy below that of cruise and brake, and above the floor, %; None where that compares with nothing.
 
     Args:
-        kwh: Energy.
+        kwh: Energy; None where there is none.
         plain_kwh: Energy of cruise and brake with the plain timetable.
         floor_kwh: Floor.
     """
+    if kwh is None:
+        return None, None
     return saved_percent(kwh, plain_kwh), excess_percent(kwh * J_PER_KWH, floor_kwh * J_PER_KWH)
 
 
@@ -42,15 +53,16 @@ class DrivenEnergy:
 
     Attributes:
         driver: Driver id.
-        plain_kwh: Energy with the plain timetable, mean over the offset.
-        energy_kwh: Energy with the timetable found.
+        plain_kwh: Energy with the plain timetable, mean over the offset; None where a network cannot carry
+            the load.
+        energy_kwh: Energy with the timetable found; None likewise.
         mean_late_s: Mean arrival after the timetable.
         scatter_s: Standard deviation of it.
     """
 
     driver: str
-    plain_kwh: float
-    energy_kwh: float
+    plain_kwh: float | None
+    energy_kwh: float | None
     mean_late_s: float
     scatter_s: float
 
@@ -61,13 +73,13 @@ class ScatteredEnergy:
 
     Attributes:
         seconds: Most by which a departure moves either way, evenly drawn.
-        energy_kwh: Mean energy of several draws.
+        energy_kwh: Mean energy of several draws; None where a network cannot carry the load of one.
         deviation_kwh: Standard deviation of it.
     """
 
     seconds: float
-    energy_kwh: float
-    deviation_kwh: float
+    energy_kwh: float | None
+    deviation_kwh: float | None
 
 
 @dataclass(frozen=True, kw_only=True)

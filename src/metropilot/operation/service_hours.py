@@ -11,7 +11,7 @@ from numpy import ndarray
 
 from metropilot._typing import Int
 from metropilot.errors import Infeasible
-from metropilot.operation.comparison import DrivenEnergy, ScatteredEnergy
+from metropilot.operation.comparison import DrivenEnergy, ScatteredEnergy, mean_of_all
 from metropilot.operation.day import (
     HOUR_S,
     DayTimetable,
@@ -93,32 +93,30 @@ class ServiceHours:
 
     def plain_kwh(self, profiles: Profiles) -> float | None:
         """The same with plain timetables, mean over the offset."""
-        found = [self.periodic_kwh(self.operation.plain_timetable(each), profiles) for each in self.offsets_s]
-        known = [each for each in found if each is not None]
-        return float(np.mean(known)) if len(known) == len(found) else None
+        plain = (self.operation.plain_timetable(each) for each in self.offsets_s)
+        return mean_of_all([self.periodic_kwh(each, profiles) for each in plain])
 
     def scatter(self, timetable: Timetable, profiles: Profiles, scatter: ServiceScatter) -> dict[str, Any]:
         """Energy of a driver and of departures that scatter, as fields of :class:`ComparedEnergy`.
 
         Raises:
-            Infeasible: A run does not arrive, or the network cannot carry the load.
+            Infeasible: A run does not arrive.
         """
         plain = [self.repeat(self.operation.plain_timetable(each)) for each in self.offsets_s]
         return scatter_service(scatter, plain, self.repeat(timetable), [profiles], self.energy_kwh)
 
-    def energy_kwh(self, timetable: DayTimetable, plans: Sequence[Profiles]) -> float:
-        """Energy of one headway, mean over the hour.
-
-        Raises:
-            Infeasible: The network cannot carry the load.
-        """
+    def energy_kwh(self, timetable: DayTimetable, plans: Sequence[Profiles]) -> float | None:
+        """Energy of one headway, mean over the hour; None where the network cannot carry the load."""
         day = LineDay(self.operation, timetable, plans)
         if self.feeding is None:
             power = day.power()
             hour_kwh = float(power.hourly_kwh[(self._hour_s - power.first_s) // HOUR_S])
         else:
             links = link_trains(day.timetable, self.operation.options.turnround_s, LONGEST_WAIT_S)
-            flow = feed_day(day, self.feeding, links).flow
+            try:
+                flow = feed_day(day, self.feeding, links).flow
+            except Infeasible:
+                return None
             first = self._hour_s - math.floor(day.timetable.span_s[0])
             net_w = (flow.rectifier_w - flow.inverter_w).sum(axis=1)[first : first + HOUR_S]
             hour_kwh = float(net_w.sum()) / J_PER_KWH
@@ -130,7 +128,7 @@ def scatter_service(
     plain: Sequence[DayTimetable],
     found: DayTimetable,
     plans: Sequence[Profiles],
-    energy_kwh: Callable[[DayTimetable, Sequence[Profiles]], float],
+    energy_kwh: Callable[[DayTimetable, Sequence[Profiles]], float | None],
 ) -> dict[str, Any]:
     """Energy of a driver and of departures that scatter, as fields of :class:`ComparedEnergy`.
 
@@ -139,7 +137,7 @@ def scatter_service(
         plain: Plain timetables.
         found: Timetable found.
         plans: Powers of its trips by optimal driving.
-        energy_kwh: Energy of a timetable and the powers of its trips.
+        energy_kwh: Energy of a timetable and the powers of its trips, None where that is not to be had.
 
     Raises:
         Infeasible: A run does not arrive.
@@ -148,7 +146,9 @@ def scatter_service(
     for seconds in scatter.departures_s:
         random = np.random.default_rng([scatter.seed, round(1000 * seconds)])
         drawn = [energy_kwh(found.scatter(seconds, random), plans) for _ in range(SAMPLES)]
-        scattered.append(ScatteredEnergy(seconds, float(np.mean(drawn)), float(np.std(drawn, ddof=1))))
+        known = [each for each in drawn if each is not None]
+        deviation_kwh = float(np.std(known, ddof=1)) if len(known) == SAMPLES else None
+        scattered.append(ScatteredEnergy(seconds, mean_of_all(drawn), deviation_kwh))
     driven = None if scatter.drives is None else _driven(scatter.drives, plain, found, energy_kwh)
     return {"driven": driven, "scattered": tuple(scattered)}
 
@@ -157,7 +157,7 @@ def _driven(
     drives: TripDrives,
     plain: Sequence[DayTimetable],
     found: DayTimetable,
-    energy_kwh: Callable[[DayTimetable, Sequence[Profiles]], float],
+    energy_kwh: Callable[[DayTimetable, Sequence[Profiles]], float | None],
 ) -> DrivenEnergy:
     """Energy of a driver with plain timetables and the one found; every trip draws one of his runs."""
     both = [np.concatenate([each[way].running_time_s for each in (plain[0], found)]) for way in (0, 1)]
@@ -166,7 +166,7 @@ def _driven(
     late_s = [profile.running_time_s - time_s for run in runs for of in run for time_s, profile in of.items()]
     return DrivenEnergy(
         drives.driver,
-        float(np.mean([energy_kwh(each.with_plans(len(runs), random), runs) for each in plain])),
+        mean_of_all([energy_kwh(each.with_plans(len(runs), random), runs) for each in plain]),
         energy_kwh(found.with_plans(len(runs), random), runs),
         float(np.mean(late_s)),
         float(np.std(late_s)),
