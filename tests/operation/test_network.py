@@ -287,3 +287,22 @@ def test_a_bad_feeding_is_named(change, field):
     with pytest.raises(InputError) as error:
         replace(load_feeding("yizhuang"), **change)
     assert error.value.field == field
+
+
+def test_the_balance_of_a_network_where_all_is_squeezed_is_rounding():
+    flow = solve_network(feeding(substation(0)), loads((500.0, -1e6)), 1)
+    assert flow.returned_j < 1e-3
+    assert abs(flow.imbalance) < 1e-9
+
+
+def test_the_least_resistances_balance():
+    least = {"resistance_ohm": 1e-8, "inverter_v": 860.0, "inverter_ohm": 1e-8}
+    network = feeding(
+        substation(0, **least),
+        substation(1000.0, **least),
+        conductor_ohm_per_m=1e-9,
+        running_ohm_per_m=0.0,
+    )
+    flow = solve_network(network, loads((200.0, 3e6), (200.2, 3e6, True), (700.0, -2e6)), 1)
+    assert abs(flow.imbalance) < 1e-7
+    assert flow.train_v == pytest.approx([850.0] * 3, abs=0.1)

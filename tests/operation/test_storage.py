@@ -117,7 +117,7 @@ def test_a_line_with_storages_takes_less_and_balances():
 
 def test_useless_storages_change_nothing():
     line, timetable = line_and_loads()
-    never = storage(3000.0, charge_above_v=9000.0, discharge_below_v=1.0)
+    never = storage(3000.0, charge_above_v=899.9, discharge_below_v=500.1)
     both = replace(network(), storages=(replace(never, position_m=6272.0),), onboard=never)
     at_v = [feed_line(line, timetable, profiles(), each).flow.train_v for each in (network(), both)]
     assert at_v[0] == pytest.approx(at_v[1], abs=1e-6)

@@ -90,3 +90,64 @@ def test_a_no_load_voltage_no_train_runs_on_is_named(tmp_path):
 def test_an_unknown_feeding_lists_the_catalogue():
     with pytest.raises(InputError, match=r"did you mean 'yizhuang'.*or a path"):
         load_feeding("yizuang")
+
+
+STORAGE = """
+[BLOCK]
+units = { position = "m", charge_above = "V", discharge_below = "V", resistance = "mohm" }
+list = [{ name = "S", position = 100 }]
+"""
+
+
+@pytest.mark.parametrize(
+    ("block", "line", "told"),
+    [
+        ("storage", "charge_above = 950", "storage.charge_above: a voltage that is never reached: 950 V"),
+        (
+            "storage",
+            "discharge_below = 450",
+            "storage.discharge_below: a voltage that is never reached: 450 V",
+        ),
+        (
+            "onboard_storage",
+            "charge_above = 900",
+            "onboard_storage.charge_above: a voltage that is never reached",
+        ),
+        (
+            "storage",
+            "resistance = 0.1",
+            "storage.resistance: out of range: 0.1 mohm (allowed: 1 to 100000 mohm)",
+        ),
+    ],
+)
+def test_a_storage_that_never_does_anything_is_refused(block, line, told, tmp_path):
+    text = STORAGE.replace("BLOCK", block).replace("list", f"{line}\nlist")
+    if block == "onboard_storage":
+        text = "\n".join(each for each in text.splitlines() if not each.startswith("list"))
+        text = text.replace('position = "m", ', "")
+    path = tmp_path / "toy.toml"
+    path.write_text(samples.FEEDING + text)
+    with pytest.raises(InputError) as refused:
+        load_feeding(path)
+    assert told in refused.value.line()
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "told"),
+    [
+        (
+            "voltage = 870\n",
+            "voltage = 900\n",
+            "a voltage that is never reached: 900 V (allowed: below max_voltage of the trains, 900 V)",
+        ),
+        ("resistance = 20", "resistance = 1e-9", "substations.resistance: out of range: 1e-09 mohm"),
+        ("conductor = 8", "conductor = 1e-9", "rails.conductor: out of range: 1e-09 mohm/km"),
+    ],
+)
+def test_what_is_never_reached_or_only_rounding_is_refused(old, new, told, tmp_path):
+    path = tmp_path / "toy.toml"
+    assert old in samples.FEEDING
+    path.write_text(samples.FEEDING.replace(old, new))
+    with pytest.raises(InputError) as refused:
+        load_feeding(path)
+    assert told in refused.value.line()

@@ -170,10 +170,12 @@ class NetworkFlow:
 
     @property
     def imbalance(self) -> float:
-        """Energy that the sums lack, over that which flows in."""
+        """Energy that the sums lack, over that which flows in, or could where that is less."""
         into = self.supplied_j + self.returned_j
         out = self.inverted_j + self.drawn_j + self.loss_j + self.storage_in_j
-        return (into - out) / into if into else 0.0
+        # where all is squeezed what flows is rounding, and nothing to compare with
+        whole = max(into, self.offered_j)
+        return (into - out) / whole if whole else 0.0
 
     def lowest(self) -> int | None:
         """Row of the lowest voltage at a train; None without trains."""

@@ -11,6 +11,10 @@ from metropilot.railway.record import CatalogueRecord, check_positions
 from metropilot.units import KINDS, tidy
 
 MOST_V = 1e4
+LEAST_OHM, LEAST_OHM_PER_M = 1e-8, 1e-9
+"""Least resistances, far below any real one: with less the rounding of a voltage is a current that counts."""
+LEAST_CONTROL_OHM = 1e-3
+"""The same of a storage: with less, power and limit of a control that steep are found by chance only."""
 MILLIOHM = KINDS["resistance"]["mohm"]
 MILLIOHM_PER_KM = KINDS["resistance per length"]["mohm/km"]
 
@@ -31,9 +35,9 @@ class Substation:
     position_m: float
     name: str = ""
     no_load_v: float = declare(850.0, unit="V", low=0.0, above=True, high=MOST_V)
-    resistance_ohm: float = declare(0.018, unit="ohm", low=0.0, above=True, high=100.0, shown=MILLIOHM)
+    resistance_ohm: float = declare(0.018, unit="ohm", low=LEAST_OHM, high=100.0, shown=MILLIOHM)
     inverter_v: float | None = declare(None, unit="V", low=0.0, above=True, high=MOST_V)
-    inverter_ohm: float = declare(0.03, unit="ohm", low=0.0, above=True, high=100.0, shown=MILLIOHM)
+    inverter_ohm: float = declare(0.03, unit="ohm", low=LEAST_OHM, high=100.0, shown=MILLIOHM)
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -72,7 +76,7 @@ class Storage:
     efficiency: float = declare(0.95, low=0.0, above=True, high=1.0)
     charge_above_v: float = declare(860.0, unit="V", low=0.0, above=True, high=MOST_V)
     discharge_below_v: float = declare(820.0, unit="V", low=0.0, above=True, high=MOST_V)
-    resistance_ohm: float = declare(0.01, unit="ohm", low=0.0, above=True, high=100.0, shown=MILLIOHM)
+    resistance_ohm: float = declare(0.01, unit="ohm", low=LEAST_CONTROL_OHM, high=100.0, shown=MILLIOHM)
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -114,7 +118,7 @@ class Feeding(CatalogueRecord):
     line_id: str
     substations: tuple[Substation, ...]
     conductor_ohm_per_m: float = declare(
-        8e-6, unit="ohm/m", low=0.0, above=True, high=1.0, shown=MILLIOHM_PER_KM
+        8e-6, unit="ohm/m", low=LEAST_OHM_PER_M, high=1.0, shown=MILLIOHM_PER_KM
     )
     running_ohm_per_m: float = declare(15e-6, unit="ohm/m", low=0.0, high=1.0, shown=MILLIOHM_PER_KM)
     max_current_a: float = declare(6000.0, unit="A", low=0.0, above=True, high=1e5)
@@ -154,6 +158,33 @@ class Feeding(CatalogueRecord):
                     value=tidy(value),
                     unit="V",
                     allowed=f"between {low:g} and {high:g} V",
+                )
+        self._check_in_reach()
+
+    def _check_in_reach(self) -> None:
+        """Refuse a voltage that no train brings about: that inverter or storage would never do anything."""
+        inverters = [("inverters.voltage", each.inverter_v) for each in self.substations]
+        storages = [("storage", each) for each in self.storages]
+        storages += [] if self.onboard is None else [("onboard_storage", self.onboard)]
+        above = [(f"{block}.charge_above", each.charge_above_v) for block, each in storages]
+        below = [(f"{block}.discharge_below", each.discharge_below_v) for block, each in storages]
+        for name, value in (*inverters, *above):
+            if value is not None and not value < self.max_v:
+                raise InputError(
+                    "a voltage that is never reached",
+                    field=name,
+                    value=tidy(value),
+                    unit="V",
+                    allowed=f"below max_voltage of the trains, {self.max_v:g} V",
+                )
+        for name, value in below:
+            if not value > self.cut_off_v:
+                raise InputError(
+                    "a voltage that is never reached",
+                    field=name,
+                    value=tidy(value),
+                    unit="V",
+                    allowed=f"above cut_off of the trains, {self.cut_off_v:g} V",
                 )
 
     @property
