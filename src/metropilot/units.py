@@ -170,22 +170,29 @@ def pick(kind: str, values: Sequence[float], wish: str) -> tuple[Callable[[float
 CLOCK = re.compile(r"([0-9]{1,2}):([0-5][0-9])(?::([0-5][0-9]))?")
 
 
-def parse_clock(text: str, *, file: object = None, field: str | None = None) -> int:
+def parse_clock(
+    text: str, *, file: object = None, field: str | None = None, latest_s: float = math.inf
+) -> int:
     """Seconds from the midnight that a day begins with; hours go on after 24 in the night that follows.
 
     Args:
         text: ``HH:MM`` or ``HH:MM:SS``.
         file: The file, for the message.
         field: The field, for the message.
+        latest_s: Latest time allowed.
 
     Raises:
-        InputError: It is no time.
+        InputError: It is no time, or too late.
     """
     match = CLOCK.fullmatch(text.strip())
     if match is None:
         raise InputError("not a time", file=file, field=field, value=text, allowed="HH:MM or HH:MM:SS")
     hours, minutes, seconds = (int(part or 0) for part in match.groups())
-    return 3600 * hours + 60 * minutes + seconds
+    time_s = 3600 * hours + 60 * minutes + seconds
+    if time_s > latest_s:
+        allowed = f"{format_clock(0)} to {format_clock(latest_s)}"
+        raise InputError("out of range", file=file, field=field, value=text, allowed=allowed)
+    return time_s
 
 
 def format_clock(time_s: int | float) -> str:

@@ -117,6 +117,27 @@ def test_a_dash_is_a_load_that_the_network_cannot_carry(typed, tmp_path):
     assert "–: the network cannot carry that load." in said
 
 
+def test_an_hour_that_the_network_cannot_carry_leaves_the_result_without_disturbance(typed, tmp_path):
+    text = (resources.files("metropilot.railway") / "catalogue/feedings/yizhuang.toml").read_text()
+    text = re.sub(r"(?s)list = \[.*?\n\]", 'list = [{ name = "A", position = 0 }]', text, count=1)
+    text = text.replace('line = "yizhuang"', 'line = "two"').replace("resistance = 10", "resistance = 20")
+    (tmp_path / "mine.toml").write_text(text)
+    (tmp_path / "two.toml").write_text(TWO)
+    fed = ("line", "two.toml", "--feeding", "mine.toml", "--headway", "110")
+    plain = json.loads(typed(*fed, "--json").out)
+    said = typed(*fed, "--scatter", "30", "--driver", "eitoe", "--out", "out", "--json")
+    assert said.code == 0, said.err
+    told = json.loads(said.out)
+    assert told["scattered"] == [{"seconds": 30.0, "energy_kwh": None, "deviation_kwh": None}]
+    assert told["driver"]["plain_kwh"] > plain["driving_only_kwh"]
+    assert told["driver"]["mean_late_s"] < 5.0
+    assert json.loads((tmp_path / "out" / "line.json").read_text())["scattered"] == told["scattered"]
+    assert told | {"scattered": [], "driver": None} == plain
+    said = " ".join(typed(*fed, "--scatter", "30").out.split())
+    assert "scatter by 30 s: – kWh with optimal driving, standard deviation –." in said
+    assert "–: the network cannot carry the load of that hour." in said
+
+
 def test_the_text_says_which_timetable_takes_what_on_the_network(typed):
     words = ("line", "yizhuang", "--headway", "600", "--dwell-window", "0", "--time-window", "0")
     fed = (*words, "--feeding", "yizhuang", "--optimise")
@@ -138,6 +159,11 @@ def test_the_text_says_which_timetable_takes_what_on_the_network(typed):
         (("nowhere",), "nowhere"),
         (("yizhuang", "--trainset", "none"), "none"),
         (("yizhuang", "--feeding", "none"), "unknown feeding"),
+        (("yizhuang", "--scatter", "nan"), "--scatter: out of range: 'nan' (allowed: 0 to 300)"),
+        (
+            ("yizhuang", "--driver", "eitoe", "--runs", "101"),
+            "--runs: out of range: '101' (allowed: 1 to 100)",
+        ),
         (("yizhuang", "--day", "none"), "--day: unknown day"),
         (
             ("lu2023", "--zones", "1", "--day", "yizhuang"),

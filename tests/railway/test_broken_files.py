@@ -209,8 +209,15 @@ JOURNEY = [
     ("slowest = 10", "slowst = 10", "timing_points.list[1].slowst", "slowest", None, "earliest, fastest"),
 ]
 FEEDING = [
-    ("resistance = 20", "resistance = -20", "substations.resistance", "-20", "mohm", "> 0 mohm"),
-    ("resistance = 8 ", "resistance = 0 ", "substations.list[1].resistance", "0", "mohm", "> 0 mohm"),
+    ("resistance = 20", "resistance = -20", "substations.resistance", "-20", "mohm", "1e-05 to 100000 mohm"),
+    (
+        "resistance = 8 ",
+        "resistance = 0 ",
+        "substations.list[1].resistance",
+        "0",
+        "mohm",
+        "1e-05 to 100000 mohm",
+    ),
     ("position = 1.5", "position = 0", "substations[1].position", "0", "m", "> 0 m"),
     ('at = ["B"]', 'at = ["C"]', "inverters.at[0]", "C", None, "A, B"),
     ('at = ["B"]', "", "inverters.at", None, None, "names of substations"),
@@ -225,7 +232,7 @@ DAY = [
     ('from = "05:30", ', "", "periods.list[0].from", None, None, "HH:MM"),
     ('to = "06:00"', 'to = "05:00"', "periods.list[0].to", "05:00:00", None, "after 05:30:00"),
     ('to = "06:00"', 'to = "23:30"', "periods.list[1].from", "23:15:30", None, "23:30:00 or later"),
-    ('to = "25:00"', 'to = "37:00"', "periods.list[1].to", "133200", "s", "0 to 129600 s"),
+    ('to = "25:00"', 'to = "37:00"', "periods.list[1].to", "37:00", None, "00:00:00 to 36:00:00"),
     ("headway = 10 ", "headway = 0.1 ", "periods.list[0].headway", "0.1", "min", "0.166667 to 120 min"),
     (
         "headway = 10 ",

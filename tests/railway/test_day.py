@@ -55,3 +55,15 @@ def test_a_clock_reads_back(time_s):
 def test_no_clock_is_refused(text):
     with pytest.raises(InputError, match="not a time"):
         parse_clock(text, field="from")
+
+
+def test_a_time_beyond_the_day_is_refused_as_a_time(tmp_path):
+    path = tmp_path / "day.toml"
+    path.write_text(
+        'kind = "day"\nid = "late"\nname = "Late"\nline = "toy"\n[periods]\nunits = { headway = "s" }\n'
+        'list = [{ name = "night", from = "23:00", to = "37:00", headway = 600 }]\n'
+    )
+    with pytest.raises(InputError) as refused:
+        load_day(path)
+    said = refused.value.line()
+    assert "periods.list[0].to: out of range: '37:00' (allowed: 00:00:00 to 36:00:00)" in said

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import _thread
 import errno
+import math
 import os
 import re
 import sys
@@ -17,6 +18,7 @@ from typing import TYPE_CHECKING, Annotated, NoReturn
 import typer
 
 import metropilot
+from metropilot._schema import Range
 from metropilot.cli.complete import words_to_complete
 from metropilot.cli.options import INTERRUPTED, UNIT
 from metropilot.errors import InputError, MetropilotError
@@ -27,6 +29,7 @@ if TYPE_CHECKING:
 SUMMARY = "Compute, learn, compare and explain how a metro train should be driven, against the optimum."
 BAD_INPUT = 2
 AGAIN_S = 0.05
+NO_ENDS = -math.inf, math.inf
 EMPTY = re.compile(r"--[a-z-]+=")
 
 COMMANDS: dict[str, tuple[str, str]] = {
@@ -197,12 +200,11 @@ def _bad_value(error: typer.BadParameter) -> InputError | None:
     options = getattr(error.param, "opts", ())
     if not found or not options:
         return None
-    kind, bounds = str(found[0]["type"]), found[0].get("ctx", {})
-    signs = {"ge": ">=", "gt": ">", "le": "<=", "lt": "<"}
-    limits = [f"{sign} {bounds[name]:g}" for name, sign in signs.items() if name in bounds]
+    kind, ends = str(found[0]["type"]), [getattr(error.param, name, None) for name in ("min", "max")]
     about = {"field": options[-1], "value": found[0]["input"]}
-    if limits:
-        return InputError("out of range", **about, allowed=limits[0])
+    if found[0].get("ctx", {}).keys() & {"ge", "le"}:
+        low, high = (given if end is None else end for end, given in zip(ends, NO_ENDS, strict=True))
+        return InputError("out of range", **about, allowed=Range(low, high).describe(None))
     if kind.startswith("int"):
         return InputError("not a whole number", **about, allowed="a whole number")
     if kind.startswith("float"):

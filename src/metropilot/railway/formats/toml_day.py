@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from metropilot._schema import field_default, field_specs
 from metropilot.errors import InputError
-from metropilot.railway.day import Period, ServiceDay
+from metropilot.railway.day import LATEST_S, Period, ServiceDay
 from metropilot.railway.formats.reader import ANY, Node, Range
 from metropilot.railway.formats.toml import Document
 from metropilot.units import parse_clock
@@ -44,7 +44,7 @@ def _period(block: Node, entry: object, where: str) -> Period:
     node.may_have_units("headway", "dwell")
     name = node.text("name")
     from_s, to_s = (
-        parse_clock(node.text(key, allowed="HH:MM"), file=node.file, field=node.at(key))
+        parse_clock(node.text(key, allowed="HH:MM"), file=node.file, field=node.at(key), latest_s=LATEST_S)
         for key in ("from", "to")
     )
     headway_s = _seconds(node, "headway", Period)
