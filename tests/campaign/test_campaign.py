@@ -148,7 +148,16 @@ def test_campaigns_that_ship_can_be_read(name):
         ('"optimal:reserve_s=1"', '"optimal:reserv_s=1"', "matrix.drivers: unknown option"),
         ("RJ WYJ", "RJ ABC", "matrix.sections: "),
         ("RJ WYJ", "RJ", "matrix.sections: not a section"),
-        ('"AW2"', '"AW7"', "matrix.trainsets: "),
+        ('"AW2"', '"AW7"', "matrix.loads: unknown load: 'AW7' (allowed: AW0, AW2, AW3)"),
+        ('name = "mine"', "", "mine.toml: name: missing (allowed: text)"),
+        ("kmh = 40, ", "", "disturbance.0.restriction.kmh: missing (allowed: a number)"),
+        ("kmh = 40", "km = 40", "km: unknown key, did you mean kmh? (allowed: from, to, kmh, announced)"),
+        (
+            "[matrix]",
+            "[matrix]\ntrainsets = [{ drawn = 2, sed = 1 }]",
+            "sed: unknown key, did you mean seed?",
+        ),
+        ("[matrix]", "[matrix]\nseeds = 1000000000", "matrix: too many rows: "),
         ("1.2]\n[[", "0.5]\n[[", "matrix.times.1"),
         ("1.2]\n[[", "0.9]\n[[", "should be 'planned' or greater than or equal to 1: '0.9'"),
         ("1.2]\n[[", "50]\n[[", "should be 'planned' or less than or equal to 10: '50'"),
@@ -181,6 +190,21 @@ def test_what_cannot_be_used_is_one_line_with_file_and_field(tmp_path, capsys, o
     assert said.count("\n") == 1
     assert "mine.toml: " in said
     assert words in said
+
+
+def test_a_sample_of_a_matrix_that_would_never_end_is_read(tmp_path):
+    path = written(tmp_path, FILE.replace("[matrix]", "[matrix]\nseeds = 1000000000"))
+    assert read_campaign(path, sample=3).rows == 6
+    with pytest.raises(
+        InputError, match=r"matrix: too many rows: 4000000000 \(allowed: at most 5000000; set"
+    ):
+        read_campaign(path)
+
+
+def test_axes_with_one_value_are_no_words():
+    assert SMALL.matrix_words == "2 trainsets and loads"
+    assert replace(SMALL, trainsets=SMALL.trainsets[:1]).matrix_words == "one case"
+    assert WIDE.matrix_words.startswith("3 drivers × 2 sections × 2 trainsets and loads × 2 times × 2 dist")
 
 
 def test_a_matrix_is_a_table(tmp_path):

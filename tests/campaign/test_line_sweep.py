@@ -163,7 +163,17 @@ def test_the_command_reports_every_row(folder, capsys, monkeypatch):
         ("150, 40", "", "matrix.headways: neither a headway nor a day"),
         ("150, 40", "1.5", "matrix.headways.0"),
         ("short.toml", "nowhere", "matrix.lines: "),
-        ('"AW2"', '"AW9"', "matrix.trainsets: "),
+        ('"AW2"', '"AW9"', "matrix.loads: unknown load: 'AW9'"),
+        (
+            "lines =",
+            "line =",
+            "matrix.line: unknown key, did you mean lines? (allowed: lines, headways, days, ",
+        ),
+        (
+            "[0.0, 0.2]",
+            f"{[k / 1000 for k in range(1000)]}\nreserve = {[k / 1000 for k in range(1000)]}",
+            "operation: too many rows: 1000000 (allowed: at most 100000)",
+        ),
         ("[2,", "[3,", "matrix.feedings: too many feeding zones: 3"),
         ("[2,", "[0,", "matrix.feedings: a line needs a feeding zone: 0 (allowed: 1 to 2"),
         ("network.toml 1", "network.toml one", "matrix.feedings: not a feeding"),

@@ -108,8 +108,6 @@ class CampaignCase(NamedTuple):
 
 AXES = ("sections", "trainsets and loads", "times", "control periods", "disturbances", "seeds", "actuations")
 """Axes of a matrix after the drivers, in words."""
-SINGLE = ("control periods", "actuations")
-"""Axes that most campaigns do not have."""
 
 
 def declare_actuation(trainset: str, actuation: ActuationPair | None) -> str:
@@ -144,6 +142,7 @@ class Campaign(AbstractCampaign):
 
     kind: ClassVar[str] = DRIVES
     group_column: ClassVar[str] = "driver"
+    most_rows: ClassVar[int] = 5_000_000
     name: str
     drivers: tuple[str, ...]
     sections: tuple[tuple[str, str, str], ...]
@@ -283,8 +282,7 @@ class Campaign(AbstractCampaign):
     @property
     def matrix_words(self) -> str:
         """Axes with their sizes, and the sample if there is one."""
-        sizes = zip(("drivers", *AXES), self.axes, strict=True)
-        words = count_axes([each for each in sizes if each[1] > 1 or each[0] not in SINGLE])
+        words = count_axes(list(zip(("drivers", *AXES), self.axes, strict=True)))
         if self.cells < prod(self.axes[1:]):
             words += f", a sample of {self.combinations} combinations with every driver and actuation"
         return words

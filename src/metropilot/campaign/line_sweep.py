@@ -146,6 +146,7 @@ class LineSweep(AbstractCampaign):
 
     kind: ClassVar[str] = LINE
     group_column: ClassVar[str] = "service"
+    most_rows: ClassVar[int] = 100_000
     name: str
     services: tuple[int | str, ...]
     lines: tuple[str, ...]
@@ -215,7 +216,7 @@ class LineSweep(AbstractCampaign):
         """Axes with their sizes."""
         names = "headways and days", "lines", "trainsets and loads", "options", "feedings"
         sizes = (len(self.services), *(len(each) for each in self.axes))
-        return count_axes([each for each in zip(names, sizes, strict=True) if each[1] > 1]) or "one case"
+        return count_axes(list(zip(names, sizes, strict=True)))
 
     def compute_rows(self, rows: range) -> list[CellRow]:
         """Results and timings of the rows of a shard."""

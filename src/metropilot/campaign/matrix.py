@@ -68,6 +68,8 @@ class AbstractCampaign(ABC):
     """Id in :data:`KINDS`."""
     group_column: ClassVar[str]
     """Column of the results that names the group."""
+    most_rows: ClassVar[int]
+    """Most rows of a campaign: more would take months."""
     name: str
 
     @property
@@ -231,5 +233,5 @@ def peak_memory_mb() -> float:
 
 
 def count_axes(sizes: Sequence[tuple[str, int]]) -> str:
-    """Axes of a matrix in words, with their sizes."""
-    return " × ".join(f"{count} {name}" for name, count in sizes)
+    """Axes of a matrix in words, with their sizes; those with one value are left out."""
+    return " × ".join(f"{count} {name}" for name, count in sizes if count > 1) or "one case"

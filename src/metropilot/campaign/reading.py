@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import shlex
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from itertools import product
+from math import prod
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, create_model
+from pydantic.fields import FieldInfo
 
 from metropilot._io import read_text
 from metropilot._schema import KIND_WORDS, check_name, convert, field_specs, field_type
@@ -37,7 +39,7 @@ class StrictModel(BaseModel):
 class DrawnTrainsets(StrictModel):
     """Random trainsets: how many, and the seed."""
 
-    drawn: Annotated[int, Field(ge=1, le=10**6)]
+    drawn: Annotated[int, Field(ge=1, le=10**4)]
     seed: Annotated[int, Field(ge=0, lt=10**9)] = 0
 
 
@@ -68,7 +70,7 @@ def validate(path: Path, model: type[Model], values: dict[str, Any]) -> Model:
     try:
         return model.model_validate(values)
     except ValidationError as error:
-        raise _input_error(path, error) from None
+        raise _input_error(path, model, error) from None
 
 
 SHOULD = "Input should be "
@@ -102,19 +104,57 @@ def _describe_wanted(item: Mapping[str, Any]) -> str | None:
     return WANTED.get(item["type"], should)
 
 
-def _input_error(path: Path, error: ValidationError) -> InputError:
+def _models_in(annotation: Any) -> Iterator[type[BaseModel]]:  # noqa: ANN401 (any form of a type)
+    """Models that a type names."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        yield annotation
+    for part in get_args(annotation):
+        yield from _models_in(part)
+
+
+def _keys_beside(model: type[BaseModel], place: Sequence[int | str]) -> dict[str, FieldInfo]:
+    """Fields of the table that a place in a file lies in, by their keys there."""
+    for part in place[:-1]:
+        field = model.model_fields.get(str(part))
+        model = next(_models_in(field.annotation), model) if field is not None else model
+    return {field.alias or name: field for name, field in model.model_fields.items()}
+
+
+def _describe_kind(annotation: Any) -> str | None:  # noqa: ANN401 (any form of a type)
+    """First kind of value of a type, in words; None where it has none."""
+    if get_origin(annotation) is list:
+        return WANTED["list_type"]
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return KIND_WORDS[dict]
+    parts = map(_describe_kind, get_args(annotation))
+    return KIND_WORDS.get(annotation) or next((words for words in parts if words), None)
+
+
+def _key_error(path: Path, model: type[BaseModel], item: Mapping[str, Any]) -> InputError:
+    """The error of a key that is unknown, with the keys there are, or of one that is missing."""
+    *_, key = item["loc"]
+    keys, where = _keys_beside(model, item["loc"]), {"file": path, "field": _locate(item)}
+    if item["type"] == "missing":
+        wanted = _describe_kind(keys[key].annotation) if key in keys else WANTED["tuple_type"]
+        return InputError("missing", allowed=wanted, **where)
+    try:
+        check_name(str(key), keys, "key", **where)
+    except InputError as error:
+        return error
+    raise AssertionError(key)
+
+
+def _input_error(path: Path, model: type[BaseModel], error: ValidationError) -> InputError:
     """The first of the validation errors at the deepest field it names, with every alternative there."""
     found = error.errors()
     first = max(found, key=lambda item: (item["type"] == "extra_forbidden", len(item["loc"])))
-    field = _locate(first)
-    value = None if first["type"] == "missing" else str(first["input"])
-    message = first["msg"]
-    if first["type"] == "extra_forbidden":
-        message = "unknown key"
-    elif (told := _describe_wanted(first)) is not None:
+    if first["type"] in {"missing", "extra_forbidden"}:
+        return _key_error(path, model, first)
+    field, message = _locate(first), first["msg"]
+    if (told := _describe_wanted(first)) is not None:
         others = (_describe_wanted(item) for item in found if _locate(item) == field)
         message = SHOULD + " or ".join(dict.fromkeys([told, *(each for each in others if each)]))
-    return InputError(message[:1].lower() + message[1:], file=path, field=field, value=value)
+    return InputError(message[:1].lower() + message[1:], file=path, field=field, value=str(first["input"]))
 
 
 @contextmanager
@@ -147,7 +187,8 @@ def list_trainsets(
             masses = trainset.loads
             ends = {LEAST: min(masses, key=masses.__getitem__), MOST: max(masses, key=masses.__getitem__)}
             named = list(masses) if isinstance(loads, str) else loads
-            told = [load if load in masses else ends.get(load, load) for load in named]
+        told = [load if load in masses else ends.get(load, load) for load in named]
+        with _of_field(path, "matrix.loads"):
             found += [(place, trainset.with_load(load).load) for load in told]
     return keep_once(found)
 
@@ -241,6 +282,29 @@ def campaign_from_values(path: Path, values: dict[str, Any]) -> AbstractCampaign
     Args:
         path: The file, for errors; names of files are relative to its folder.
         values: Its values.
+
+    Raises:
+        InputError: Something in it cannot be used, or it has too many rows.
+    """
+    campaign = _read_any(path, values)
+    _check_rows(path, campaign)
+    return campaign
+
+
+def _check_rows(path: Path, campaign: AbstractCampaign) -> None:
+    """Refuse a matrix that would never end, and takes minutes to be laid out.
+
+    Raises:
+        InputError: It has too many rows.
+    """
+    if campaign.rows > campaign.most_rows:
+        allowed = f"at most {campaign.most_rows}"
+        allowed += "; set matrix.sample" if isinstance(campaign, Campaign) else ""
+        raise InputError("too many rows", file=path, field="matrix", value=campaign.rows, allowed=allowed)
+
+
+def _read_any(path: Path, values: dict[str, Any]) -> AbstractCampaign:
+    """Read the values of a campaign of any kind, of any size.
 
     Raises:
         InputError: Something in it cannot be used.
@@ -428,6 +492,9 @@ def _options(path: Path, given: Mapping[str, Any]) -> tuple[dict[str, Number], .
             axes.append([(name, one) for one in keep_once(checked)])
             if not axes[-1]:
                 raise InputError("the list is empty")
+    if (count := prod(map(len, axes))) > LineSweep.most_rows:
+        allowed = f"at most {LineSweep.most_rows}"
+        raise InputError("too many rows", file=path, field="operation", value=count, allowed=allowed)
     combined = tuple(dict(each) for each in product(*axes))
     for each in combined:
         try:
@@ -512,8 +579,9 @@ def read_campaign(
     if not path.exists():
         allowed = f"a TOML file, or one of {', '.join(shipped_campaigns())}"
         raise InputError("no such campaign", field="campaign", value=name_or_path, allowed=allowed)
-    campaign = campaign_from_toml(path)
+    campaign = _read_any(path, read_values(path))
     if not isinstance(campaign, Campaign):
+        _check_rows(path, campaign)
         for field, value in {"drivers": drivers, "sample": sample}.items():
             if value is not None:
                 raise InputError("only for a campaign of drives", file=path, field=field, value=value)
@@ -522,11 +590,21 @@ def read_campaign(
         if sample < 0:
             raise InputError("out of range", field="sample", value=sample, allowed=">= 0")
         campaign = replace(campaign, sample=sample or None)
-    if drivers is None:
-        return campaign
+    if drivers is not None:
+        campaign = replace(campaign, drivers=_named_drivers(drivers))
+    _check_rows(path, campaign)
+    return campaign
+
+
+def _named_drivers(drivers: str) -> tuple[str, ...]:
+    """Drivers of a list with commas.
+
+    Raises:
+        InputError: None, or one that there is not.
+    """
     names = tuple(dict.fromkeys(word.strip() for word in drivers.split(",") if word.strip()))
     if not names:
         raise InputError("no driver given", field="drivers", value=drivers)
     for name in names:
         make_driver(name)
-    return replace(campaign, drivers=names)
+    return names
