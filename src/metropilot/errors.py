@@ -13,6 +13,8 @@ from contextlib import contextmanager
 
 _LONGEST = 600
 """Characters of one part of a complaint; the list of what is allowed is ours, and shown whole."""
+_LONGEST_VALUE = 200
+"""Characters of a value: a path may be as long."""
 
 
 class MetropilotError(Exception):
@@ -67,7 +69,8 @@ class InputError(MetropilotError, ValueError):
         """
         head = ": ".join(_cut(part) for part in (self.file, self.field, self.message) if part)
         if self.value is not None:
-            head += ": " + _cut(repr(self.value) if isinstance(self.value, str) else str(self.value))
+            shown = repr(self.value) if isinstance(self.value, str) else str(self.value)
+            head += ": " + _cut(shown, _LONGEST_VALUE)
             if self.unit and self.unit != "1":
                 head += f" {self.unit}"
         if self.allowed:
@@ -75,8 +78,8 @@ class InputError(MetropilotError, ValueError):
         return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in " ".join(head.split()))
 
 
-def _cut(text: str) -> str:
-    return text if len(text) <= _LONGEST else f"{text[: _LONGEST - 50]} ... {text[-40:]}"
+def _cut(text: str, longest: int = _LONGEST) -> str:
+    return text if len(text) <= longest else f"{text[: longest - 50]} ... {text[-40:]}"
 
 
 @contextmanager

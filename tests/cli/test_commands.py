@@ -5,6 +5,7 @@ What drives runs as a program: this process checks types at run time, which make
 
 import json
 import os
+import re
 import shlex
 import subprocess
 import sys
@@ -232,6 +233,51 @@ def test_journey_file(metropilot, tmp_path):
     write_journey(planned_journey(load_line("yizhuang")), tmp_path / "journey.toml")
     table = answer(metropilot("plan", "yizhuang", "--journey", tmp_path / "journey.toml", "--json"))
     assert len(table["calls"]) == 14
+
+
+def test_a_journey_of_another_line_is_refused(metropilot, tmp_path):
+    from metropilot.railway import load_line, planned_journey, write_journey
+
+    write_journey(planned_journey(load_line("yizhuang")), tmp_path / "journey.toml")
+    said = metropilot("plan", "yizhuang-ttobench", "--journey", tmp_path / "journey.toml")
+    assert (said.code, said.out) == (2, "")
+    assert "line: a journey of another line: 'yizhuang' (allowed: yizhuang-ttobench)" in said.err
+    text = (tmp_path / "journey.toml").read_text().replace('line = "yizhuang"\n', "")
+    (tmp_path / "any.toml").write_text(text)
+    assert metropilot("plan", "yizhuang-ttobench", "--journey", tmp_path / "any.toml").code == 0
+
+
+STEEP = """
+kind = "line"
+id = "steep"
+name = "Steep"
+stations.unit = "m"
+stations.list = [
+  { code = "A", name = "Alpha", position = 0 },
+  { code = "B", name = "Beta", position = 1200 },
+  { code = "C", name = "Gamma", position = 3200 },
+]
+speed_limits = { units = { from = "m", speed = "km/h" }, values = [[-200, 60]] }
+gradients = { units = { from = "m", gradient = "permil" }, values = [[-200, 0], [1300, 140], [2800, 0]] }
+"""
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("plan", "--time", "400"),
+        ("plan", "B", "C", "--front"),
+        ("capacity",),
+        ("plan", "A", "C", "--stopping"),
+    ],
+)
+def test_a_stall_names_the_section(metropilot, tmp_path, words):
+    (tmp_path / "steep.toml").write_text(STEEP)
+    command, *rest = words
+    more = ("--time", "400") if "--stopping" in words else ()
+    said = metropilot(command, tmp_path / "steep.toml", *rest, *more)
+    assert (said.code, said.out, said.err.count("\n")) == (2, "", 1)
+    assert re.search(r"section: the trainset stalls at \d+ m, .*: 'B-C'$", said.err.strip())
 
 
 def test_a_timing_point_of_a_file_that_nobody_keeps_is_one_line(metropilot, tmp_path):

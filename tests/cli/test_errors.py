@@ -30,7 +30,11 @@ BAD = [
     ((*RUN, "--time", "abc"), "--time: not a number: 'abc' (allowed: a number without its unit, e.g. 1.5)"),
     ((*RUN, "--time", "101s"), "--time: not a number: '101s'"),
     ((*RUN, "--seed", "1.5"), "--seed: not a whole number: '1.5'"),
-    (("line", "yizhuang", "--scatter", "500"), "--scatter: out of range: '500' (allowed: <= 300)"),
+    (("line", "yizhuang", "--scatter", "500"), "--scatter: out of range: '500' (allowed: 0 to 300)"),
+    (
+        ("line", "yizhuang", "--headway", "9" * 400),
+        f"--headway: out of range: {'9' * 150} ... {'9' * 40} s (all",
+    ),
     (("runs", "--most", "0"), "--most: out of range: '0' (allowed: >= 1)"),
     ((*RUN, "--trainset", "dkz32:"), "--trainset: unknown load: 'dkz32:' (allowed: AW0, AW2, AW3)"),
     (("compare", "yizhuang", "RJ", "WYJ", "--drivers", "pid:tuned"), "--drivers: not an option of a driver"),

@@ -141,6 +141,7 @@ def test_no_train_meets_another_whatever_is_held(headway_s):
         (lambda line: line.hold(TrainHold(station="JG", hold_s=0.0)), "hold_s"),
         (lambda line: line.slow(SlowSection(station="JG", limit_mps=0.1)), "limit_mps"),
         (lambda line: line.slow(SlowSection(station="JG", lasts_s=0.0)), "lasts_s"),
+        (lambda line: line.slow(SlowSection(station="JG", limit_mps=80.0 / 3.6)), "limit_mps"),
     ],
 )
 def test_what_cannot_be_is_refused(found, call, field):

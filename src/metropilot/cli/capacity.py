@@ -80,7 +80,8 @@ def capacity_command(
     # Platforms that a convoy does not fit on are refused before anything is computed.
     services = [service] if service.platform_m is None else [service, replace(service, platform_m=None)]
     sizes = _counts(counts)
-    with show_activity(f"driving {len(sections)} sections in convoys of {counts}"):
+    activity = show_activity(f"driving {len(sections)} sections in convoys of {counts}")
+    with activity, opt.name_stall(sections, trainset):
         found = [line_capacity(sections, trainset, sizes, options=each) for each in services]
     rows = [row for each in reversed(found) for row in each]
     ends = f"{sections[0].origin.name} – {sections[-1].destination.name}"

@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+import math
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from functools import wraps
 from inspect import Parameter, Signature, signature
 from pathlib import Path
-from typing import Annotated, Any, TypeVar, cast, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar, cast, get_type_hints
 
 import typer
 
 from metropilot._schema import FieldSpec, field_default, field_specs, field_type
 from metropilot.cli import complete
-from metropilot.errors import InputError
+from metropilot.errors import Infeasible, InputError
+
+if TYPE_CHECKING:
+    from metropilot.railway import Section, Trainset
 
 Command = TypeVar("Command", bound=Callable[..., int])
 UNIT = re.compile(r"_(s|m|mps|mps2|mps3|mb)$")
@@ -89,6 +94,27 @@ def check_both(origin: str | None, destination: str | None) -> None:
     if (origin is None) != (destination is None):
         missing = "destination" if origin else "origin"
         raise InputError("missing", field=missing, allowed="both stations or none")
+
+
+@contextmanager
+def name_stall(sections: Iterable[Section], trainset: Trainset) -> Iterator[None]:
+    """Let an error about a trainset that stalls, which knows the metre, name the section too.
+
+    Args:
+        sections: Sections between neighbouring stops.
+        trainset: Trainset.
+    """
+    try:
+        yield
+    except Infeasible as error:
+        if error.field != "section" or error.value is not None:
+            raise
+        from metropilot.planning import minimum_running_time
+
+        never = (each for each in sections if not math.isfinite(minimum_running_time(each, trainset)))
+        if (found := next(never, None)) is None:
+            raise
+        raise Infeasible(error.message, file=error.file, field="section", value=found.name) from error
 
 
 def with_run_options(

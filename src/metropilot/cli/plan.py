@@ -92,12 +92,14 @@ def plan_command(
         check_writable(out)
     if journey is None and ends is not None and not stopping:
         section = where.section(*ends)
-        return reports.front(asked, section) if front else reports.run(asked, section, time)
+        with opt.name_stall([section], asked.trainset):
+            return reports.front(asked, section) if front else reports.run(asked, section, time)
     if front:
         raise InputError("a front is drawn for one section", field="front", allowed="LINE ORIGIN DESTINATION")
-    if journey is not None:
-        return reports.timetable(asked, where, journey)
-    return reports.journey(asked, where, ends, time)
+    with opt.name_stall((*where.sections(), *where.sections(backward=True)), asked.trainset):
+        if journey is not None:
+            return reports.timetable(asked, where, journey)
+        return reports.journey(asked, where, ends, time)
 
 
 def _check_numbers(time: float | None, jerk: float | None, without_time: Mapping[str, bool]) -> None:

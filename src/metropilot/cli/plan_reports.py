@@ -223,6 +223,7 @@ def front(asked: PlanArguments, section: Section) -> int:
 def timetable(asked: PlanArguments, line: Line, path: Path) -> int:
     """A journey with the timing points of a file."""
     wanted = load_journey(path)
+    wanted.check_line(line)
     ends = [_station_at(line, point.position_m, path) for point in (wanted.points[0], wanted.points[-1])]
     named = rename_fields({"slowest": "slowest"}, path)
     with show_activity(f"planning the journey {wanted.id}"), named:

@@ -24,7 +24,7 @@ from numpy import ndarray
 from metropilot._schema import check_fields, declare
 from metropilot._typing import Float
 from metropilot.convoy import first_times
-from metropilot.errors import InputError
+from metropilot.errors import InputError, rename_fields
 from metropilot.operation.headway import TripMotions
 from metropilot.operation.line_service import Trip
 from metropilot.operation.power import PowerProfile, profile_of_plan
@@ -297,12 +297,14 @@ class RunningLine:
             wanted: Station at which it begins, direction, speed and time.
 
         Raises:
-            InputError: No trip begins there.
+            InputError: No trip begins there, or trains never go as fast.
         """
         trip = self._trip_from(wanted.station, backward=wanted.backward)
+        section = self.operation.trips[trip].section
+        with rename_fields({"restriction": "limit_mps"}):
+            section.check_restriction(Restriction(0.0, section.length_m, wanted.limit_mps))
         self.limits[trip] = wanted.limit_mps, self.time_s + wanted.lasts_s
         self._disturb()
-        section = self.operation.trips[trip].section
         return f"{section.name}: {KMH_PER_MPS * wanted.limit_mps:.0f} km/h for {wanted.lasts_s:g} s"
 
     def _trip_from(self, station: str, *, backward: bool) -> int:

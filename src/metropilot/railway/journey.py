@@ -44,7 +44,7 @@ class Journey(CatalogueRecord):
 
     Attributes:
         id: Name of the journey.
-        line_id: The line it runs on.
+        line_id: The line it runs on; empty: any on which its positions make sense.
         points: At least a start and an end; positions grow all the way, or fall all the way.
     """
 
@@ -92,6 +92,20 @@ class Journey(CatalogueRecord):
                     allowed=f"{'>=' if sign > 0 else '<='} {before.position_m:g} m",
                 )
         _check_times(points)
+
+    def check_line(self, line: Line) -> None:
+        """Refuse another line than that of the journey; one that names none is of any.
+
+        Args:
+            line: Line to run on.
+
+        Raises:
+            InputError: Another line.
+        """
+        if self.line_id and self.line_id != line.id:
+            raise InputError(
+                "a journey of another line", file=self.id, field="line", value=self.line_id, allowed=line.id
+            )
 
 
 def _check_times(points: tuple[TimingPoint, ...]) -> None:
