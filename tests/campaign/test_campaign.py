@@ -207,6 +207,20 @@ def test_axes_with_one_value_are_no_words():
     assert WIDE.matrix_words.startswith("3 drivers × 2 sections × 2 trainsets and loads × 2 times × 2 dist")
 
 
+def test_a_policy_that_was_changed_needs_another_folder(tmp_path):
+    policy = tmp_path / "policy.bin"
+    policy.write_bytes(b"one")
+    campaign = replace(SMALL, drivers=("flat_out", f"learned:policy={policy}"))
+    CampaignStore(tmp_path / "out", campaign)
+    CampaignStore(tmp_path / "out", campaign)
+    policy.write_bytes(b"two")
+    with pytest.raises(
+        InputError, match="a file has changed since the folder was begun: 'learned:policy=.*bin'"
+    ):
+        CampaignStore(tmp_path / "out", campaign)
+    CampaignStore(tmp_path / "out", replace(campaign, drivers=("flat_out",)))
+
+
 def test_a_matrix_is_a_table(tmp_path):
     with pytest.raises(InputError, match=r"matrix: input should be a table: '3'$"):
         read_campaign(written(tmp_path, 'name = "mine"\nmatrix = 3\n'))

@@ -18,7 +18,9 @@ from metropilot.campaign import (
 )
 from metropilot.campaign.line_sweep import RESULTS, FeedingCase, compute_case
 from metropilot.campaign.matrix import from_text
+from metropilot.campaign.store import CampaignStore
 from metropilot.cli import main
+from metropilot.errors import InputError
 from metropilot.operation import LineOperation, OperationOptions, feed_line, operation_energy
 from metropilot.railway import load_feeding, load_line, load_trainset, write_line
 
@@ -80,6 +82,32 @@ def test_a_file_is_a_matrix_and_a_row_is_its_cell(folder):
     ]
     more = replace(sweep, services=(200, *sweep.services))
     assert more.digest == sweep.digest != replace(sweep, seed=4).digest
+
+
+def test_a_network_that_was_changed_is_another_campaign(folder):
+    first, path = CampaignStore(folder / "out", read(folder)).campaign.digest, folder / "elsewhere.toml"
+    (folder / "network.toml").rename(path)
+    moved = FILE.replace("network.toml", "elsewhere.toml")
+    assert CampaignStore(folder / "out", read(folder, moved)).campaign.digest == first
+    path.write_text(path.read_text().replace("resistance = 10", "resistance = 5"))
+    with pytest.raises(InputError, match="the folder holds another campaign"):
+        CampaignStore(folder / "out", read(folder, moved))
+
+
+def test_a_day_that_was_changed_needs_another_folder(folder):
+    day, line = folder / "day.toml", load_line(str(folder / "short.toml"))
+    day.write_text(
+        f'kind = "day"\nid = "d"\nname = "Day"\nline = "{line.id}"\n[periods]\nunits = {{ headway = "s" }}\n'
+        'list = [{ name = "all", from = "08:00", to = "09:00", headway = 300 }]\n'
+    )
+    text = FILE.replace("headways =", 'days = ["day.toml"]\nheadways =')
+    CampaignStore(folder / "out", read(folder, text))
+    CampaignStore(folder / "out", read(folder, text))
+    day.write_text(day.read_text().replace("09:00", "10:00"))
+    with pytest.raises(InputError, match=r"a file has changed since the folder was begun: '.*day\.toml'"):
+        CampaignStore(folder / "out", read(folder, text))
+    # headways alone do not read it
+    CampaignStore(folder / "out", read(folder))
 
 
 def test_a_row_has_the_energies_of_the_line(folder):

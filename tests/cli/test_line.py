@@ -138,6 +138,19 @@ def test_an_hour_that_the_network_cannot_carry_leaves_the_result_without_disturb
     assert "–: the network cannot carry the load of that hour." in said
 
 
+def test_a_day_of_one_journey_is_written(typed, tmp_path):
+    (tmp_path / "two.toml").write_text(TWO)
+    (tmp_path / "day.toml").write_text(
+        'kind = "day"\nid = "one"\nname = "One journey"\nline = "two"\n[periods]\nunits = { headway = "s" }\n'
+        'list = [{ name = "only", from = "08:00", to = "08:01", headway = 600 }]\n'
+    )
+    said = typed("line", "two.toml", "--day", "day.toml", "--out", "out", "--json")
+    assert said.code == 0, said.err
+    assert json.loads(said.out)["journeys"] == {"forward": 1, "backward": 0}
+    with (tmp_path / "out" / "timetable.csv").open() as file:
+        assert [row["departure"] for row in csv.DictReader(file)] == ["08:00:00"]
+
+
 def test_the_text_says_which_timetable_takes_what_on_the_network(typed):
     words = ("line", "yizhuang", "--headway", "600", "--dwell-window", "0", "--time-window", "0")
     fed = (*words, "--feeding", "yizhuang", "--optimise")

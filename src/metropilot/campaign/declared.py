@@ -19,10 +19,11 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple
 import numpy as np
 
 from metropilot._schema import field_specs
-from metropilot.campaign.matrix import DRIVES, AbstractCampaign, CellRow, content_key, count_axes
+from metropilot.campaign.matrix import DRIVES, AbstractCampaign, CellRow, content_key, count_axes, digest_of
 from metropilot.drivers import DRIVERS, AbstractPolicyDriver, builds_up_slowly
-from metropilot.evaluate import RunSpec, parse_driver
+from metropilot.evaluate import POLICY, RunSpec, parse_driver
 from metropilot.planning import Objective
+from metropilot.policy import policy_path
 from metropilot.protection import Bounds, guarantees_less
 from metropilot.railway import Restriction, load_trainset, parse_trainset
 from metropilot.sim import CONTROL_PERIOD_S, Disturbance, TimetableUpdate
@@ -264,6 +265,13 @@ class Campaign(AbstractCampaign):
         sections = tuple((content_key(line), start, end) for line, start, end in self.sections)
         trainsets = tuple((content_key(name), load) for name, load in self.trainsets)
         return replace(self, drivers=(), sections=sections, trainsets=trainsets).text
+
+    @property
+    def group_files(self) -> Mapping[str, str]:
+        """Drivers with a policy file."""
+        policies = {name: parse_driver(name)[1].get(POLICY) for name in self.drivers}
+        paths = {name: policy_path(policy) for name, policy in policies.items() if isinstance(policy, str)}
+        return {name: digest_of(path) for name, path in paths.items() if path.is_file()}
 
     @property
     def columns(self) -> Mapping[str, str]:

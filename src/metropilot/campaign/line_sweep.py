@@ -199,7 +199,17 @@ class LineSweep(AbstractCampaign):
         """The text without headways and days, and with the content of files instead of their paths."""
         lines = tuple(map(content_key, self.lines))
         trainsets = tuple((content_key(name), load) for name, load in self.trainsets)
-        return replace(self, services=(), lines=lines, trainsets=trainsets).text
+        feedings = tuple(
+            each if each.network is None else each._replace(network=content_key(each.network))
+            for each in self.feedings
+        )
+        return replace(self, services=(), lines=lines, trainsets=trainsets, feedings=feedings).text
+
+    @property
+    def group_files(self) -> Mapping[str, str]:
+        """Days that are files."""
+        found = {each: content_key(each) for each in self.services if isinstance(each, str)}
+        return {name: content for name, content in found.items() if content != name}
 
     @property
     def columns(self) -> Mapping[str, str]:

@@ -94,6 +94,11 @@ class AbstractCampaign(ABC):
 
     @property
     @abstractmethod
+    def group_files(self) -> Mapping[str, str]:
+        """Groups that name a file, each with its content: no part of the identity, and yet it must stay."""
+
+    @property
+    @abstractmethod
     def columns(self) -> Mapping[str, str]:
         """Columns of the results: the same bits on every machine and in every order of the rows."""
 
@@ -180,7 +185,12 @@ def content_key(key: str) -> str:
     named = parse_trainset(key)
     if not named.is_file or not Path(named.id).is_file():
         return key
-    return str(named._replace(id=sha256(Path(named.id).read_bytes()).hexdigest()[:16]))
+    return str(named._replace(id=digest_of(Path(named.id))))
+
+
+def digest_of(path: Path) -> str:
+    """Identifier of a file's content."""
+    return sha256(path.read_bytes()).hexdigest()[:16]
 
 
 def from_text(text: str) -> AbstractCampaign:

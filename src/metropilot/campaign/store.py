@@ -40,9 +40,9 @@ class CampaignStore:
         try:
             for name in (PARTS_FOLDER, TIMINGS_FOLDER):
                 (folder / name).mkdir(parents=True, exist_ok=True)
-            if about.exists():
-                self._check(about)
+            files = (self._check(about) if about.exists() else {}) | campaign.group_files
             values = {"digest": campaign.digest, "campaign": json.loads(campaign.text)}
+            values |= {"files": files} if files else {}
             if not about.exists() or json.loads(about.read_text()) != values:
                 atomic_write(about, lambda partial: partial.write_text(json.dumps(values, indent=1)))
         except OSError as error:
@@ -50,10 +50,13 @@ class CampaignStore:
                 "cannot write to the folder", file=folder, field="out", value=error.strerror
             ) from None
 
-    def _check(self, about: Path) -> None:
+    def _check(self, about: Path) -> dict[str, str]:
+        """Refuse the folder of another campaign; return the files of its groups, each with its content."""
+        files: dict[str, str] = {}
         try:
-            found = json.loads(about.read_text())["digest"]
-        except (ValueError, KeyError, TypeError, RecursionError):
+            told = json.loads(about.read_text())
+            found, files = told["digest"], dict(told.get("files", {}))
+        except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
             found = "unreadable"
         if found != self.campaign.digest:
             raise InputError(
@@ -63,6 +66,16 @@ class CampaignStore:
                 value=found,
                 allowed=f"an empty folder, or one of campaign {self.campaign.digest}",
             )
+        for name, content in self.campaign.group_files.items():
+            if files.get(name, content) != content:
+                raise InputError(
+                    "a file has changed since the folder was begun",
+                    file=self.folder,
+                    field="out",
+                    value=name,
+                    allowed="an empty folder, or the file as it was",
+                )
+        return files
 
     def finished_shards(self) -> dict[Piece, str]:
         """Shards that are done, each with its checksum: listed, with a file of the listed size."""

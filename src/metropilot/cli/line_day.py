@@ -141,7 +141,7 @@ def print_day(found: DayEnergy, fed: FeedingEnergy | None) -> None:
     told = found.as_dict(fed)
     out.print(
         f"First departure {told['first_departure']}, last arrival {told['last_arrival']}; "
-        f"{told['pull_outs']} times a train leaves the depot. Highest minute "
+        f"trains leave the depot {told['pull_outs']} times in all. Highest minute "
         f"{told['peak_minute_w'] / 1e6:.1f} MW; "
         f"{told['unreceived_kwh']:.0f} of {told['returned_kwh']:.0f} kWh returned are not received."
     )

@@ -7,6 +7,7 @@ from metropilot.web.words.language import N_
 REFUSALS = (
     N_("not the folder of a campaign"),
     N_("the folder holds another campaign"),
+    N_("a file has changed since the folder was begun"),
     N_("cannot write the shard"),
     N_("not a policy that sets a follower's gains"),
     N_("sees something else than this law"),
