@@ -215,7 +215,7 @@ def test_a_policy_that_was_changed_needs_another_folder(tmp_path):
     CampaignStore(tmp_path / "out", campaign)
     policy.write_bytes(b"two")
     with pytest.raises(
-        InputError, match="a file has changed since the folder was begun: 'learned:policy=.*bin'"
+        InputError, match=r"a file has changed since the folder was begun: 'learned:policy=.*bin'"
     ):
         CampaignStore(tmp_path / "out", campaign)
     CampaignStore(tmp_path / "out", replace(campaign, drivers=("flat_out",)))
