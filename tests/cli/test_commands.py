@@ -223,7 +223,9 @@ def test_journey_keeps_the_timetable_or_spreads_the_total(metropilot):
     kept = answer(metropilot("plan", "yizhuang", "WHY", "RC", "--stopping", "--json"))
     assert [c["name"] for c in kept["calls"]] == ["WHY", "WYJ", "RJ", "RC"]
     total = kept["calls"][-1]["arrival_s"]
+    assert kept["running_time_s"] == total
     spread = answer(metropilot("plan", "yizhuang", "WHY", "RC", "--stopping", "--time", total, "--json"))
+    assert spread["running_time_s"] == pytest.approx(total, abs=0.1)
     assert spread["energy_kwh"] < kept["energy_kwh"]
 
 

@@ -280,6 +280,8 @@ def _journey(
         "load": asked.trainset.load,
         "calls": calls,
         **summary(found.plan, asked.options),
+        # of a journey the time with its dwells, as asked for
+        "running_time_s": found.calls[-1].arrival_s - found.calls[0].departure_s,
     }
 
     def screen() -> None:
