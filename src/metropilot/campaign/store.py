@@ -40,7 +40,7 @@ class CampaignStore:
         try:
             for name in (PARTS_FOLDER, TIMINGS_FOLDER):
                 (folder / name).mkdir(parents=True, exist_ok=True)
-            files = (self._check(about) if about.exists() else {}) | campaign.group_files
+            files = (self._check(about) if about.exists() else {}) | dict(campaign.group_files)
             values = {"digest": campaign.digest, "campaign": json.loads(campaign.text)}
             values |= {"files": files} if files else {}
             if not about.exists() or json.loads(about.read_text()) != values:
