@@ -44,6 +44,12 @@ class Journeys(NamedTuple):
         """Arrival at every station but the first."""
         return self.departure_s + self.running_time_s
 
+    @property
+    def stop_times_s(self) -> Float[ndarray, "journeys times"]:
+        """Departures and arrivals in their order, for a train graph. Shape (J, 2 S); J may be zero."""
+        both = np.stack([self.departure_s, self.arrival_s], axis=2)
+        return both.reshape(len(both), both.shape[1] * 2)
+
 
 class DayTimetable(NamedTuple):
     """Timetable of a day.

@@ -126,15 +126,13 @@ def day_figure(found: DayEnergy) -> Figure:
     """Train graph of a day."""
     from metropilot.evaluate import BLUE, VERMILION, add_headline, house_style, new_panels
 
-    stations, trips = found.day.operation.line.stations, found.day.operation.count
+    stations = found.day.operation.line.stations
     km = np.array([each.position_m for each in stations]) / 1000.0
     with house_style():
         figure, (axes,) = new_panels(WIDTH_IN, HEIGHT_IN, (1.0,))
         for way, (each, colour) in enumerate(zip(found.day.timetable, (BLUE, VERMILION), strict=True)):
             place = np.repeat(km[::-1] if way else km, 2)[1:-1]
-            # also of a day without a journey in one direction
-            times = np.stack([each.departure_s, each.arrival_s], axis=2).reshape(each.period.size, 2 * trips)
-            axes.plot(times.T / HOUR_S, place, color=colour, linewidth=0.5)
+            axes.plot(each.stop_times_s.T / HOUR_S, place, color=colour, linewidth=0.5)
         axes.set_yticks(km, [each.code for each in stations])
         _set_clock(axes, found)
         add_headline(axes, _title(found), _below(found))

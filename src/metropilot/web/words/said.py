@@ -379,6 +379,7 @@ SENTENCES = (
     N_("longer logs with traction, coasting and braking, or keep: {names}"),
     N_("the plan's solver stopped: {reason}"),
     N_("{first} or {second}"),
+    N_("one case"),
 )
 JOINTS = (N_("; "), N_(": "), N_(", "), " · ", " × ", N_(" and "))
 """Separators of sentences, and of words in a row; what they part is translated as far as it is known."""

@@ -126,8 +126,7 @@ def _day_out(found: operation.DayEnergy, energies: dict[str, Any]) -> dict[str, 
     def draw() -> Iterable[tuple[str, np.ndarray, np.ndarray]]:
         for name, each in (("forward", timetable.forward), ("backward", timetable.backward)):
             place = np.repeat(at_m if name == "forward" else at_m[::-1], 2)[1:-1]
-            times = np.stack([each.departure_s, each.arrival_s], axis=2).reshape(each.period.size, -1)
-            yield from ((name, row, place) for row in times)
+            yield from ((name, row, place) for row in each.stop_times_s)
 
     span_s = tuple(float(x) for x in timetable.span_s)
     return {
