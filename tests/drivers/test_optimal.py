@@ -209,3 +209,29 @@ def test_a_brake_with_a_long_lag_and_a_soft_jerk_limit_is_let_go_before_the_stan
     check_safe_stop(done)
     assert np.abs(done.trajectory.jerk_mps3).max() <= 1.05 * 0.64
     assert abs(done.trajectory.position_m[-1] - section.length_m) <= 0.01
+
+
+@pytest.mark.parametrize(
+    ("name", "actuation", "way", "ratio", "dt"),
+    [
+        ("drawn-9-30", (0.0, 0.22, 1.12), (393.0, 12.14, 31.158), 1.57, 0.5),
+        ("drawn-9-143", (0.6, 0.0, 0.67), (1129.44, 9.902, 19.14), 1.102, 1.0),
+    ],
+)
+def test_the_stop_holds_what_the_plan_brakes_with_before_its_last_metre(name, actuation, way, ratio, dt):
+    """The eased plan brakes harder in its last metre; a stop that held it was 1.2 s early, 1.2 s late."""
+    length_m, limit_mps, permil = way
+    at = np.zeros(1)
+    section = replace(
+        load_line("yizhuang").section("RJ", "WYJ"),
+        length_m=length_m,
+        limit_mps=Steps(at, np.array([limit_mps])),
+        gradient_permil=Steps(at, np.array([permil])),
+        curves=(),
+    )
+    trainset = replace(load_trainset(name), actuation=Actuation(*actuation))
+    run = Run(section, trainset, ratio * minimum_running_time(section, trainset), dt=dt)
+    done = drive(run, DRIVERS.make("optimal"))
+    check_safe_stop(done)
+    assert done.interventions == 0
+    assert abs(done.running_time_s - run.scheduled_time_s) <= 0.9

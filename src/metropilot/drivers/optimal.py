@@ -171,6 +171,8 @@ BRAKING_SHARE = 0.25
 """The last braking of a plan is where it brakes with more than this share of its strongest."""
 LEAST_LASTING_MPS2, STRONGER = 0.1, 1.05
 """Least deceleration that a stop counts on; a plan whose last braking is this much stronger is made again."""
+UNEASED_M = 1.0
+"""An eased braking ends so far before the stop."""
 POWERED_MPS2 = 1e-3
 SOON_S = 3.0
 """Time before the plan brakes from which on it is not made again only because it is due."""
@@ -409,8 +411,12 @@ class Optimal(AbstractDriver):
         """The stop the plan ends with: the deceleration it brakes at before it lets go."""
         vehicle = model.vehicle._replace(jerk_mps3=lowest_jerk(model.vehicle, coupled))
         braking = -np.diff(plan.speed_mps**2) / (2 * np.diff(plan.position_m))
-        last = plan.position_m[1:] > float(plan.position_m[-1]) - LAST_STRETCH_M
+        left_m = float(plan.position_m[-1]) - plan.position_m
+        last = left_m[1:] < LAST_STRETCH_M
         rate = float(braking[last].max())
+        held = float(braking[last & (left_m[1:] >= min(UNEASED_M, float(left_m[1])))].max())
+        # An eased braking grows again at the very end: nothing to hold on the way to it.
+        rate = held if rate > STRONGER * held else rate
         rate = min(max(rate, 0.3), float(vehicle.max_deceleration_mps2))
         shape = StopOptions(release_share=self._release_share(model, ceiling, coupled))
         return curve_for(vehicle, model.dt, rate, shape)
@@ -483,7 +489,7 @@ def _ease_last_braking(
     lasts = max(lasting_deceleration(vehicle, track, start, end, speed), LEAST_LASTING_MPS2)
     if speed * speed <= STRONGER * 2.0 * lasts * (end - start):
         return plan
-    cap = np.minimum(options.cap_mps, np.sqrt(2.0 * lasts * np.maximum(end - options.cap_m, 1.0)))
+    cap = np.minimum(options.cap_mps, np.sqrt(2.0 * lasts * np.maximum(end - options.cap_m, UNEASED_M)))
     try:
         return plan_arrays(vehicle, track, time_s, replace(options, cap_mps=cap), plan)
     except SolverError:
