@@ -224,3 +224,15 @@ def test_noise_and_a_lag_do_not_jerk_at_the_stand(driver, dt):
     assert found.interventions == 0
     assert np.abs(found.trajectory.jerk_mps3).max() <= 1.05
     assert abs(found.trajectory.position_m[-1] - section.length_m) <= 0.1
+
+
+@pytest.mark.parametrize(("length_m", "jerk"), [(1201.0, 1.0), (1203.0, 1.36)])
+@pytest.mark.parametrize("driver", ["eitoe", "ston"])
+def test_a_steep_fall_is_reckoned_with_up_to_the_stop(driver, length_m, jerk):
+    """In the last 4 m the fall faded from the plan, and the brake was still full at the stand: 3.5 times."""
+    trainset = replace(PLAIN, actuation=Actuation(0.55, 0.45, jerk))
+    section = downhill(32.0, length_m)
+    time_s = 1.15 * minimum_running_time(section, trainset)
+    found = drive(Run(section, trainset, time_s, dt=0.1), make_driver(driver))
+    assert good(found)
+    assert abs(float(found.trajectory.jerk_mps3[-1])) <= 1.05 * jerk

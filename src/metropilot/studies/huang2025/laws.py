@@ -535,8 +535,10 @@ def _harmonic_mean(values: Sequence[float]) -> float:
 
 def _downhill(at: np.ndarray, climb: np.ndarray, length_m: float) -> np.ndarray:
     """The least mean slope from a position or any place behind it to the stop, by position."""
-    left = np.maximum(length_m - at, STEP_M)
-    mean = (np.interp(length_m, at, climb) - climb) / left
+    lost, left = np.interp(length_m, at, climb) - climb, length_m - at
+    mean = lost / np.maximum(left, STEP_M)
+    to_the_stop = lost / np.maximum(left, NEAREST_M)
+    mean = np.where(to_the_stop < -STEEP_MPS2, to_the_stop, mean)
     mean = np.where(at < length_m, mean, mean[np.flatnonzero(at < length_m)[-1]])
     return np.minimum.accumulate(np.minimum(mean, 0.0)[::-1])[::-1]
 
@@ -685,6 +687,9 @@ STRANGE = 4.0
 DOUBT = 0.003
 """... or the brake is no longer what it was: so much more scatter."""
 LEAST_EFFORT_MPS2 = 0.15
+STEEP_MPS2, NEAREST_M = 0.1, 1e-3
+"""A fall that pulls more than this counts up to so near the stop; a gentler one fades in the last step of the
+tables, where it is not missed."""
 GAIN = (0.5, 1.6)
 CAUTION = 1.7
 USE = 0.97
