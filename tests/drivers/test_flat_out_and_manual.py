@@ -10,6 +10,7 @@ from metropilot.planning import minimum_running_time
 from metropilot.railway import (
     Actuation,
     Curve,
+    Line,
     Restriction,
     Section,
     Station,
@@ -116,6 +117,28 @@ def test_manual_brakes_no_harder_than_brakes_and_gradient_allow(dkz32, service_m
     assert done.outcome is Outcome.ARRIVED
     assert done.interventions == 0
     assert abs(error) < 0.3
+
+
+def fall(permil, length_m, limit_kmh):
+    """A section that falls evenly."""
+    ends, at = (Station("A", "A", 0.0), Station("B", "B", length_m)), np.zeros(1)
+    line = Line("test", "test", ends, Steps(at, np.array([limit_kmh / 3.6])), Steps(at, np.array([-permil])))
+    return line.section("A", "B")
+
+
+@pytest.mark.parametrize(
+    ("name", "actuation", "where", "time_s", "dt"),
+    [
+        ("drawn-26-44", Actuation(0.09, 0.15), load_line("yizhuang").section("YZQ", "JG"), 148.0, 1.0),
+        ("cheng2023", Actuation(0.27, 0.14, 0.8), fall(21.0, 282.0, 30.0), 59.5, 0.5),
+    ],
+)
+def test_manual_looks_ahead_of_a_hand_that_long_periods_delay(name, actuation, where, time_s, dt):
+    """It came up to the ceiling in full power, and coasted over it on a fall: overruled to a standstill."""
+    trainset = replace(load_trainset(name), actuation=actuation)
+    done, error = driven("manual", Run(where, trainset, time_s, dt=dt))
+    assert done.interventions == 0
+    assert abs(error) <= 0.3
 
 
 def test_manual_moves_a_notched_lever_after_a_reaction_time(dkz32):

@@ -62,6 +62,8 @@ NEAR_SHARE = 0.4
 SPARE_SHARE = 0.9
 """A brake of which a human uses no more than this share has something to spare."""
 HUMAN_MARGIN_MPS = 0.7
+USUAL_PERIOD_S = 0.2
+"""Up to this control period the margin allows for what a speed rises by before the hand is there."""
 LATE_S = 1.0
 BY_HAND = StopOptions(left_share=math.inf)
 """By hand nobody lets go of a brake in the last tenth of a second."""
@@ -274,11 +276,16 @@ def _decide(memory: ManualMemory) -> tuple[float, Intent]:
         return _to_notch(stop_command(model, ahead, target, curve, BY_HAND).share), intent._replace(
             braking=True
         )
+    # the hand moves the lever to where it was wanted a period before, and a fall pulls meanwhile
+    pull_mps2 = max(ahead.acceleration_mps2, -ahead.resistance_mps2 - ahead.gradient_mps2, 0.0)
+    rise_mps = pull_mps2 * max(model.dt - USUAL_PERIOD_S, 0.0)
+    ahead = ahead._replace(speed_mps=ahead.speed_mps + rise_mps)
     sooner = ahead._replace(position_m=ahead.position_m + ahead.speed_mps * hand_s)
     limited = ceiling_acceleration(model, sooner, memory.ceiling, math.inf, curve)
     if limited < -0.05:
         return _to_notch(min(ahead.share_for(limited), 0.0)), intent._replace(powering=False)
-    return _hold_speed(memory, ahead, limited)
+    then = estimate._replace(speed_mps=estimate.speed_mps + rise_mps)
+    return _hold_speed(memory._replace(estimate=then), ahead, limited)
 
 
 def _hold_speed(memory: ManualMemory, ahead: PredictedState, limited_mps2: float) -> tuple[float, Intent]:
