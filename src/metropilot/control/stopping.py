@@ -545,7 +545,11 @@ def stop_command(
     required = later = float(demand.required_mps2)
     if _comes_near(required, curve, ahead):
         later = required_later(ahead, distance, curve, model.dt, options)
-    share = _share_in(model, ahead, -demand.wanted_mps2, options)
+    wanted = float(demand.wanted_mps2)
+    if demand.falling_mps3 <= 0.0:
+        # on a climb nobody powers only to brake harder later
+        wanted = max(wanted, min(required, ahead.resistance_mps2 + ahead.gradient_mps2))
+    share = _share_in(model, ahead, -wanted, options)
     return Stop(share, required, later, ahead, distance)
 
 

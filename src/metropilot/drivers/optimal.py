@@ -414,9 +414,9 @@ class Optimal(AbstractDriver):
         left_m = float(plan.position_m[-1]) - plan.position_m
         last = left_m[1:] < LAST_STRETCH_M
         rate = float(braking[last].max())
-        held = float(braking[last & (left_m[1:] >= min(UNEASED_M, float(left_m[1])))].max())
         # An eased braking grows again at the very end: nothing to hold on the way to it.
-        rate = held if rate > STRONGER * held else rate
+        held = braking[last & (left_m[1:] >= UNEASED_M) & (plan.brake_n > BRAKING_SHARE * plan.brake_n.max())]
+        rate = float(held.max()) if held.size and rate > STRONGER * held.max() else rate
         rate = min(max(rate, 0.3), float(vehicle.max_deceleration_mps2))
         shape = StopOptions(release_share=self._release_share(model, ceiling, coupled))
         return curve_for(vehicle, model.dt, rate, shape)
