@@ -94,6 +94,7 @@ class StopOptions:
         draw_up_mps2: Acceleration toward the target from a standstill short of it, m/s^2.
         draw_up_share: Share of that acceleration; drawing up ends when a deceleration of this size would
             stop at the target.
+        coasts_up: True if a trainset that coasts up to the stop is not powered to brake harder later.
         lag_ramp: True if a lag without a jerk limit shapes the curve; else its user allows for the lag.
         passes: Passes of the fixed point for the build-up; each divides the error by about four.
         newton_steps: Newton steps from the deceleration without a release; six are accurate to 1e-5 m/s^2,
@@ -118,6 +119,7 @@ class StopOptions:
     soft_m: Scalar = 0.0
     draw_up_mps2: float = 0.3
     draw_up_share: float = 0.3
+    coasts_up: bool = False
     lag_ramp: bool = True
     passes: int = 3
     newton_steps: int = 6
@@ -546,7 +548,7 @@ def stop_command(
     if _comes_near(required, curve, ahead):
         later = required_later(ahead, distance, curve, model.dt, options)
     wanted = float(demand.wanted_mps2)
-    if demand.falling_mps3 <= 0.0:
+    if options.coasts_up and demand.falling_mps3 <= 0.0:
         # on a climb nobody powers only to brake harder later
         wanted = max(wanted, min(required, ahead.resistance_mps2 + ahead.gradient_mps2))
     share = _share_in(model, ahead, -wanted, options)

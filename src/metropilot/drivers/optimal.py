@@ -173,6 +173,8 @@ LEAST_LASTING_MPS2, STRONGER = 0.1, 1.05
 """Least deceleration that a stop counts on; a plan whose last braking is this much stronger is made again."""
 UNEASED_M = 1.0
 """An eased braking ends so far before the stop."""
+COASTS_UP = replace(STOP_OPTIONS, coasts_up=True)
+"""A plan may coast up a climb to the stop."""
 POWERED_MPS2 = 1e-3
 SOON_S = 3.0
 """Time before the plan brakes from which on it is not made again only because it is due."""
@@ -242,7 +244,7 @@ class Optimal(AbstractDriver):
         target = float(memory.model.track.length_m)
         use = self._brake_use(memory.model.vehicle, memory.adapted, memory.ceiling, memory.coupled)
         ahead = look_ahead(memory.model, estimate)
-        stop, available = stop_with_brake(memory.model, estimate, ahead, target, memory.curve, use)
+        stop, available = stop_with_brake(memory.model, estimate, ahead, target, memory.curve, use, COASTS_UP)
         braking = memory.braking or self._takes_over(memory, stop, available)
         share = self._brake(memory, stop) if braking else self._follow(memory, ahead)
         guard = memory.ceiling.guard
