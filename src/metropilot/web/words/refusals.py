@@ -62,6 +62,7 @@ SENTENCES = (
     N_("the {name} reaches the end of its range"),
     N_("a {kind} has no versions"),
     N_("no such {kind}"),
+    N_("the {kind} of an installed package cannot be used ({reason})"),
     N_("a job that is {status} cannot be deleted; stop it first"),
     N_("a job that is {status} cannot be resumed"),
     N_("another kind than that of {upload}"),
