@@ -123,6 +123,15 @@ def test_a_gap_that_closes_only_at_the_stop_is_refused():
         ConvoyRequest(head, start_gap_m=400.0).drive()
 
 
+def test_a_mixed_convoy_closes_what_it_can_drive():
+    """It was refused from 95 m on, and 97 to 105 m arrive coupled and on time."""
+    head = RunSpec("yizhuang", "SJZ", "XC", time_s=215.0, trainset="dkz32", dt_s=0.1)
+    request = ConvoyRequest(head, count=3, behind=("cheng2023", "dkz32"), start_gap_m=200.0)
+    with pytest.raises(Infeasible, match="there are 2631 m") as refused:
+        request.drive()
+    assert refused.value.allowed == "up to about 109 m here"
+
+
 def test_a_place_beyond_the_stop_is_refused():
     with pytest.raises(InputError, match="below 1280 m"):
         ConvoyRequest(HEAD, uncouple_at_m=1300.0).convoy()
