@@ -218,23 +218,3 @@ def test_a_trainset_that_creeps_past_the_mark_is_not_held_up_by_traction(driver)
     done = drive(Run(section, trainset, 63.320262, dt=0.1), DRIVERS.make(driver))
     assert done.outcome is Outcome.ARRIVED
     assert abs(float(done.trajectory.position_m[-1]) - section.length_m) <= 0.1
-
-
-@pytest.mark.parametrize(
-    ("trainset", "actuation", "place", "time_s", "dt"),
-    [
-        ("de_traxx_ic2", (0.06, 0.38, 0.81), ("yizhuang", "JG", "XHM"), 186.8, 0.5),
-        ("drawn-26-12", (0.01, 0.04, 0.67), ("lu2023", "WHY", "WYJ"), 108.75, 1.0),
-    ],
-)
-def test_a_learned_driver_reckons_with_the_period_that_it_learned_to_stop_with(
-    trainset, actuation, place, time_s, dt
-):
-    """It was 1.0 s early: the policy sees no period, and the reserve took the run's for the learned one."""
-    line, *ends = place
-    trainset = replace(load_trainset(trainset), actuation=Actuation(*actuation))
-    run = Run(load_line(line).section(*ends), trainset, time_s, dt=dt)
-    done = drive(run, DRIVERS.make("generalist"))
-    assert done.outcome is Outcome.ARRIVED
-    assert done.interventions == 0
-    assert abs(done.running_time_s - time_s) <= 0.8

@@ -75,8 +75,6 @@ NEAR_ENOUGH_M = 0.1
 """An error at the stop that is not worth the time a correction takes."""
 RESERVE_S = 0.2
 """Time before the scheduled one at which the policy is asked to arrive, besides the careful stop's."""
-LEARNED_PERIOD_S = 0.2
-"""Control period of the stop that the policies learned to allow for: they do not see that of a run."""
 LATE_S = 3.0
 """A trainset that would arrive later by less than this if it coasted holds its speed..."""
 NEAR_STOP = 1.25
@@ -226,7 +224,7 @@ def arrival_reserve(monitor: PlantMonitor, planned_mps2: float, own: StopOptions
     careful = curve_for(model.vehicle, model.dt, CAREFUL_USE * planned_mps2, stop_options(monitor))
     later_s = _stop_delay(careful, speed_mps)
     prompt = model.vehicle._replace(lag_s=np.float64(0.0))
-    later_s -= _stop_delay(curve_for(prompt, LEARNED_PERIOD_S, planned_mps2, own), speed_mps)
+    later_s -= _stop_delay(curve_for(prompt, model.dt, planned_mps2, own), speed_mps)
     return RESERVE_S + max(later_s, 0.0)
 
 
