@@ -17,9 +17,34 @@ from typing import Any, ClassVar, NamedTuple, cast, final
 
 import numpy as np
 
-from metropilot import control, drivers
 from metropilot._schema import CheckedFields, declare
 from metropilot._typing import Index, Scalar
+from metropilot.control import (
+    Ceiling,
+    CommandActuation,
+    Model,
+    PredictedState,
+    StateEstimate,
+    StopCurve,
+    StopOptions,
+    actuation_of,
+    ceiling_of,
+    curve_for,
+    estimated_actuation,
+    initial_estimate,
+    largest_admissible_command,
+    model_of,
+    record_command,
+    start_command,
+    update_estimate,
+)
+from metropilot.drivers import (
+    DECISION_EARLY_S,
+    AbstractNetworkDriver,
+    FeatureSpan,
+    NetworkView,
+    PolicyOptions,
+)
 from metropilot.env import FEATURE_WORDS
 from metropilot.errors import InputError
 from metropilot.physics import scalars
@@ -27,8 +52,33 @@ from metropilot.policy import LoadedPolicy, Policy, in_precision, load_driving_p
 from metropilot.protection import Memory, at_start, periods_in_effect
 from metropilot.railway import Section
 from metropilot.sim import AbstractDriver, Observation, Run, declared_bounds
-from metropilot.studies.huang2025 import laws
 from metropilot.studies.huang2025.env import ExpertAction, ExpertChoiceAction
+from metropilot.studies.huang2025.laws import (
+    EXPERT_STATE,
+    GAIN,
+    RELEASE_SHARE,
+    SETTLED,
+    STEP_M,
+    UNSURE,
+    ExpertRules,
+    ExpertTrack,
+    ExpertWindow,
+    Hoa,
+    Leg,
+    Legs,
+    build_up_s,
+    coasting_time,
+    constant_rate_change,
+    expect_mass,
+    expert_state,
+    expert_track,
+    expert_window,
+    lead_s,
+    legs_of,
+    next_expert_rate,
+    stop_share,
+    update_gain,
+)
 
 HOLD_PER_S = 0.5
 """Acceleration for each m/s below the safe speed."""
@@ -38,7 +88,7 @@ EASE_PER_S = 2.0
 """Deceleration taken off for each m/s below a safe speed that falls."""
 CLEAR_MPS = 3.0
 """Farther below the safe speed than this nothing needs to be eased off."""
-HOA_STOP = control.StopOptions(lag_ramp=False)
+HOA_STOP = StopOptions(lag_ramp=False)
 """The heuristic online algorithm begins earlier by half the lag instead."""
 MARGIN_MPS, LATE_MARGIN_MPS, LATE_MARGIN_MPS2 = 0.25, 0.08, 0.25
 """Distance of the ceiling from the permitted speed. Where commands act late it is at least the second, and
@@ -62,7 +112,7 @@ class RateInputs(NamedTuple):
         traction_mps2: Largest traction.
     """
 
-    window: laws.ExpertWindow
+    window: ExpertWindow
     speed_mps: float
     left_m: float
     time_left_s: float
@@ -96,20 +146,20 @@ class ExpertMemory(NamedTuple):
 
     run: Run
     section: Section
-    rules: laws.ExpertRules
-    model: control.Model
-    ceiling: control.Ceiling
-    ground: laws.ExpertTrack
-    legs: laws.Legs
-    actuation: control.CommandActuation
-    estimate: control.StateEstimate
-    hoa: laws.Hoa
+    rules: ExpertRules
+    model: Model
+    ceiling: Ceiling
+    ground: ExpertTrack
+    legs: Legs
+    actuation: CommandActuation
+    estimate: StateEstimate
+    hoa: Hoa
     supervision: Memory
     rate_mps2: float = 0.0
     before_mps2: float = 0.0
 
 
-def prepare_expert(run: Run, section: Section, rules: laws.ExpertRules, hoa: laws.Hoa) -> ExpertMemory:
+def prepare_expert(run: Run, section: Section, rules: ExpertRules, hoa: Hoa) -> ExpertMemory:
     """Prepare all that does not change on the way over a section.
 
     Args:
@@ -118,13 +168,13 @@ def prepare_expert(run: Run, section: Section, rules: laws.ExpertRules, hoa: law
         rules: The expert's constants.
         hoa: Knowledge of the brake.
     """
-    model = control.model_of(run, section)
+    model = model_of(run, section)
     bounds = declared_bounds(run)
     late = bounds.delay_s + bounds.lag_s > 0.0
-    ceiling = control.ceiling_of(
+    ceiling = ceiling_of(
         run, section, max(LATE_MARGIN_MPS, LATE_MARGIN_MPS2 * run.dt) if late else MARGIN_MPS
     )
-    ground = laws.expert_track(model, ceiling, rules)
+    ground = expert_track(model, ceiling, rules)
     return ExpertMemory(
         run=run,
         section=section,
@@ -132,9 +182,9 @@ def prepare_expert(run: Run, section: Section, rules: laws.ExpertRules, hoa: law
         model=model,
         ceiling=ceiling,
         ground=ground,
-        legs=laws.legs_of(model, ground, rules),
-        actuation=control.actuation_of(model),
-        estimate=control.initial_estimate(model),
+        legs=legs_of(model, ground, rules),
+        actuation=actuation_of(model),
+        estimate=initial_estimate(model),
         hoa=hoa,
         supervision=at_start(ceiling.guard),
     )
@@ -167,28 +217,26 @@ def decide(
         )
     state = (observation.position_m, observation.speed_mps, observation.acceleration_mps2)
     intervention = observation.intervention
-    estimate = control.update_estimate(memory.model, memory.estimate, *state, intervention=intervention)
+    estimate = update_estimate(memory.model, memory.estimate, *state, intervention=intervention)
     # noise of the measured speed would show in every command
     state = (estimate.position_m, estimate.speed_mps, observation.acceleration_mps2)
     ground, actuation = memory.ground, memory.actuation
     if estimate.best != 0:
         # The answers contradict what is declared, which is the first hypothesis.
-        actuation = control.estimated_actuation(estimate, actuation.dt)
+        actuation = estimated_actuation(estimate, actuation.dt)
     known_brake = (
-        memory.hoa
-        if intervention
-        else laws.update_gain(memory.hoa, ground, actuation, state, memory.before_mps2)
+        memory.hoa if intervention else update_gain(memory.hoa, ground, actuation, state, memory.before_mps2)
     )
     hoa = known_brake
     if not ground.weighed_brakes:
-        hoa = laws.expect_mass(hoa, estimate.traction_gain, float(estimate.gain_sigmas[0]))
+        hoa = expect_mass(hoa, estimate.traction_gain, float(estimate.gain_sigmas[0]))
     now = ground.now(actuation, state, hoa.gain)
     ahead = ground.ahead(actuation, now)
     downhill = ground.downhill(ahead.position_m)
     brake, net = ground.mean_brake(ahead.speed_mps, min(hoa.gain, 1.0), downhill)
     plan = hoa.plan_mps2(brake, net, ground.stop_mps2)
-    curve = control.curve_for(memory.model.vehicle, actuation.dt, plan, HOA_STOP)
-    share, braking = laws.stop_share(hoa, ground, actuation, ahead, curve)
+    curve = curve_for(memory.model.vehicle, actuation.dt, plan, HOA_STOP)
+    share, braking = stop_share(hoa, ground, actuation, ahead, curve)
     rate = 0.0
     if not braking:
         seen = _rate_inputs(memory, observation, ahead, curve)
@@ -197,20 +245,18 @@ def decide(
         effort = _keep_safe(memory, observation, ahead, rate)
         share = ahead.command_for(effort)
     short = ground.length_m - observation.position_m > HOA_STOP.inch_m
-    share = control.start_command(
-        share, observation.speed_mps, ahead.resistance_mps2 + ahead.gradient_mps2, short
-    )
+    share = start_command(share, observation.speed_mps, ahead.resistance_mps2 + ahead.gradient_mps2, short)
     supervision = memory.supervision
     # What is on its way, or built up, cannot be taken back: protection is asked before it has to intervene.
     guard = memory.ceiling.guard
     look = ground.look_along(actuation, now, periods_in_effect(guard, supervision))
-    share, supervision = control.largest_admissible_command(
+    share, supervision = largest_admissible_command(
         guard, supervision, observation.position_m, observation.speed_mps, share, look
     )
     memory = memory._replace(
         supervision=supervision,
         actuation=memory.actuation.issue(share),
-        estimate=control.record_command(estimate, share),
+        estimate=record_command(estimate, share),
         hoa=hoa._replace(gain=scalars.where(braking, hoa.gain, known_brake.gain), braking=braking),
         rate_mps2=rate,
         before_mps2=observation.acceleration_mps2,
@@ -219,7 +265,7 @@ def decide(
 
 
 def _rate_inputs(
-    memory: ExpertMemory, observation: Observation, ahead: control.PredictedState, curve: control.StopCurve
+    memory: ExpertMemory, observation: Observation, ahead: PredictedState, curve: StopCurve
 ) -> RateInputs:
     """Speed window where a command given now begins to act, and the rates around it."""
     rules, ground, legs = memory.rules, memory.ground, memory.legs
@@ -227,10 +273,10 @@ def _rate_inputs(
     leg = legs.leg(x) if rules.intervals else legs.legs[-1]
     share = legs.share(leg, x, v)
     time_left = observation.scheduled_time_s - observation.time_s - ahead.seconds - _release_s(leg, curve)
-    coasts_at = v + a * (laws.lead_s(memory.model) - ahead.seconds + laws.build_up_s(ground, a))
+    coasts_at = v + a * (lead_s(memory.model) - ahead.seconds + build_up_s(ground, a))
     stretch = ground.stretch(x, leg.end_m, leg.end_mps)
-    coasting = laws.coasting_time(scalars, ground.davis, curve.deceleration_mps2, coasts_at, stretch)
-    window = laws.expert_window(scalars, rules, stretch.left_m, coasting, time_left, share)
+    coasting = coasting_time(scalars, ground.davis, curve.deceleration_mps2, coasts_at, stretch)
+    window = expert_window(scalars, rules, stretch.left_m, coasting, time_left, share)
     top = min(rules.start_mps2 + ahead.resistance_mps2, ahead.traction_mps2)
     if len(legs.legs) > 1 and time_left > TIGHT * legs.least_s(ground.length_m - x, v):
         top = min(top, _for_lower_limits(memory, ahead, coasts_at))
@@ -239,7 +285,7 @@ def _rate_inputs(
     )
 
 
-def _for_lower_limits(memory: ExpertMemory, ahead: control.PredictedState, speed_mps: float) -> float:
+def _for_lower_limits(memory: ExpertMemory, ahead: PredictedState, speed_mps: float) -> float:
     """Largest rate that still coasts to the lower limits ahead slowly enough (rule 4).
 
     What is braked away there must be given back behind it: power beyond this speed is lost.
@@ -253,23 +299,23 @@ def _for_lower_limits(memory: ExpertMemory, ahead: control.PredictedState, speed
     return max(most, 0.0)
 
 
-def _coasts_from(leg: laws.Leg, position_m: float, lost: float) -> float:
+def _coasts_from(leg: Leg, position_m: float, lost: float) -> float:
     """Speed from which coasting loses so much, J/kg, on the way to a lower limit ahead; infinite: any."""
     square = leg.end_mps * leg.end_mps + 2.0 * lost
     return math.sqrt(square) if leg.end_m > position_m and square > 0.0 else math.inf
 
 
-def _release_s(leg: laws.Leg, curve: control.StopCurve) -> float:
+def _release_s(leg: Leg, curve: StopCurve) -> float:
     """Time that letting go of the last brake takes more than stopping at once."""
     if leg.end_mps > 0.0 or curve.release_jerk_mps3 > 1e3:
         return 0.0
-    return laws.RELEASE_SHARE * curve.deceleration_mps2 / curve.release_jerk_mps3
+    return RELEASE_SHARE * curve.deceleration_mps2 / curve.release_jerk_mps3
 
 
 def _rate(memory: ExpertMemory, seen: RateInputs, change: float) -> float:
     """The rate after the period's share of a change."""
     rules, part = memory.rules, memory.actuation.dt / memory.rules.interval_s
-    return laws.next_expert_rate(
+    return next_expert_rate(
         scalars,
         rules.change_mps2 * part,
         seen.window,
@@ -279,7 +325,7 @@ def _rate(memory: ExpertMemory, seen: RateInputs, change: float) -> float:
     )
 
 
-def _creep(memory: ExpertMemory, ahead: control.PredictedState, rate_mps2: float) -> float:
+def _creep(memory: ExpertMemory, ahead: PredictedState, rate_mps2: float) -> float:
     """The rate of a trainset that creeps to the stop, on a climb before it: an even crawl.
 
     To the window it is far too late when slower than ``CREEP_MPS`` and early when faster, so that full power
@@ -293,7 +339,7 @@ def _creep(memory: ExpertMemory, ahead: control.PredictedState, rate_mps2: float
 
 
 def _keep_safe(
-    memory: ExpertMemory, observation: Observation, ahead: control.PredictedState, rate_mps2: float
+    memory: ExpertMemory, observation: Observation, ahead: PredictedState, rate_mps2: float
 ) -> float:
     """The wheel effort under the safe speed (Huang25 eqs. 17 and 18).
 
@@ -315,20 +361,20 @@ def _keep_safe(
     return min(rate_mps2, max(allowed + drag, 0.0) if v <= there else 0.0)
 
 
-def _follow_fall(ground: laws.ExpertTrack, ahead: control.PredictedState, dt: float) -> float:
+def _follow_fall(ground: ExpertTrack, ahead: PredictedState, dt: float) -> float:
     """Acceleration that follows the fall of the safe speed and comes back under it, m/s^2; 0: not needed.
 
     The brake is built up on the way to where the fall begins, and eased off little by little below it: on and
     off by turns, a late brake would never do what was wanted.
     """
     v, a = ahead.speed_mps, ahead.acceleration_mps2
-    early_s = dt + laws.build_up_s(ground, max(ground.most_mps2 + a, 0.0))
+    early_s = dt + build_up_s(ground, max(ground.most_mps2 + a, 0.0))
     x = ahead.position_m + max(v * early_s, 0.5)
-    here, there = ground.safe(x), ground.safe(x + laws.STEP_M)
+    here, there = ground.safe(x), ground.safe(x + STEP_M)
     above = v + min(a, 0.0) * early_s - here
     if above <= 0.0 and there >= here:
         return 0.0
-    fall = 0.5 * min(there * there - here * here, 0.0) / laws.STEP_M
+    fall = 0.5 * min(there * there - here * here, 0.0) / STEP_M
     return min(fall - (BACK_PER_S if above > 0.0 else EASE_PER_S) * above, 0.0)
 
 
@@ -345,14 +391,14 @@ class EitoeOptions(CheckedFields):
     """
 
     start_mps2: float = declare(0.6, unit="m/s^2", low=0.0, high=2.0, above=True)
-    brake_gain: float = declare(1.0, low=laws.GAIN[0], high=laws.GAIN[1])
+    brake_gain: float = declare(1.0, low=GAIN[0], high=GAIN[1])
     brake_known: bool = declare(True)
     intervals: bool = declare(False)
 
     @property
-    def hoa(self) -> laws.Hoa:
+    def hoa(self) -> Hoa:
         """Knowledge of the brake before the first stop."""
-        return laws.Hoa(self.brake_gain, laws.SETTLED if self.brake_known else laws.UNSURE)
+        return Hoa(self.brake_gain, SETTLED if self.brake_known else UNSURE)
 
 
 @final
@@ -375,7 +421,7 @@ class Eitoe(AbstractDriver):
 
     def init(self, run: Run) -> ExpertMemory:
         """Tables of the section, once."""
-        rules = laws.ExpertRules(start_mps2=self.options.start_mps2, intervals=self.options.intervals)
+        rules = ExpertRules(start_mps2=self.options.start_mps2, intervals=self.options.intervals)
         return prepare_expert(run, run.section, rules, self.options.hoa)
 
     def act(self, memory: ExpertMemory, observation: Observation) -> tuple[float, ExpertMemory]:
@@ -383,7 +429,7 @@ class Eitoe(AbstractDriver):
         rules = memory.rules
 
         def change(seen: RateInputs) -> tuple[Scalar, None]:
-            return laws.constant_rate_change(scalars, rules, seen.window, seen.rate_mps2), None
+            return constant_rate_change(scalars, rules, seen.window, seen.rate_mps2), None
 
         share, memory, _ = decide(memory, observation, change, None)
         return share, memory
@@ -403,15 +449,15 @@ class PolicyMemory(NamedTuple):
     change: float = 0.0
 
 
-class AbstractExpertPolicyDriver(drivers.AbstractNetworkDriver):
+class AbstractExpertPolicyDriver(AbstractNetworkDriver):
     """A driver whose policy changes the rate inside the expert's rules.
 
     Args:
         options: Another policy than the one shipped.
     """
 
-    def __init__(self, options: drivers.PolicyOptions | None = None) -> None:
-        self.options = options or drivers.PolicyOptions()
+    def __init__(self, options: PolicyOptions | None = None) -> None:
+        self.options = options or PolicyOptions()
 
     @property
     def path(self) -> Path:
@@ -441,14 +487,12 @@ class AbstractExpertPolicyDriver(drivers.AbstractNetworkDriver):
         found.network = Policy(policy.spec, in_precision(policy.params, number))
         return found
 
-    def network_view(self, run: Run) -> drivers.NetworkView:
+    def network_view(self, run: Run) -> NetworkView:
         """The network, and the state of the expert that it sees."""
         del run
-        spans = (
-            drivers.FeatureSpan(name, FEATURE_WORDS[name], size) for name, size in laws.EXPERT_STATE.items()
-        )
+        spans = (FeatureSpan(name, FEATURE_WORDS[name], size) for name, size in EXPERT_STATE.items())
         policy = self.loaded_policy.policy.policy
-        return drivers.NetworkView(policy, tuple(spans), "more power", 0)
+        return NetworkView(policy, tuple(spans), "more power", 0)
 
     def with_policy(self, policy: Callable[[np.ndarray], Any]) -> AbstractExpertPolicyDriver:
         """The same driver with another function in the place of its policy."""
@@ -467,9 +511,7 @@ class AbstractExpertPolicyDriver(drivers.AbstractNetworkDriver):
 
     def init(self, run: Run) -> PolicyMemory:
         """Read the policy, and build the tables of the section."""
-        return PolicyMemory(
-            prepare_expert(run, run.section, self._action.rules, laws.Hoa(sigma=laws.SETTLED))
-        )
+        return PolicyMemory(prepare_expert(run, run.section, self._action.rules, Hoa(sigma=SETTLED)))
 
     def act(self, memory: PolicyMemory, observation: Observation) -> tuple[float, PolicyMemory]:
         """One decision of the expert; the policy is asked once in its own period."""
@@ -477,9 +519,9 @@ class AbstractExpertPolicyDriver(drivers.AbstractNetworkDriver):
 
         def change(seen: RateInputs) -> tuple[Scalar, tuple[Index, Scalar]]:
             decided, chosen = memory.decided, memory.change
-            if observation.time_s >= decided * period - drivers.DECISION_EARLY_S:
+            if observation.time_s >= decided * period - DECISION_EARLY_S:
                 chosen = self._evaluate(seen)
-                decided = int((observation.time_s + drivers.DECISION_EARLY_S) / period) + 1
+                decided = int((observation.time_s + DECISION_EARLY_S) / period) + 1
             return chosen * self._action.change_mps2, (decided, chosen)
 
         share, expert, known = decide(memory.expert, observation, change, (memory.decided, memory.change))
@@ -487,7 +529,7 @@ class AbstractExpertPolicyDriver(drivers.AbstractNetworkDriver):
 
     def _evaluate(self, seen: RateInputs) -> float:
         """Evaluate the policy: a change of the rate, as a share of the largest."""
-        observed = laws.expert_state(
+        observed = expert_state(
             scalars,
             seen.window,
             seen.speed_mps,
