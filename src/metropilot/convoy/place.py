@@ -266,8 +266,8 @@ def make_drivable(
     """
     wanted = wanted._replace(position_m=wanted.position_m[first:], speed_mps=wanted.speed_mps[first:])
     own = wanted
-    # Far behind the wanted motion efforts and limits are not those of its places and speeds. The wanted motion
-    # of a manoeuvre is not far: it opens and closes the gap little by little.
+    # Far behind the wanted motion efforts and limits are not those of its places and speeds. That of a
+    # manoeuvre is not far: it opens and closes the gap little by little.
     for _ in range(1 if coordinated else PASSES):
         along, own = own, _drive_near(member, wanted, own, now, coordinated=coordinated)
         if np.abs(own.position_m - along.position_m).max() <= FAR_BEHIND_M:
