@@ -141,6 +141,17 @@ def test_manual_looks_ahead_of_a_hand_that_long_periods_delay(name, actuation, w
     assert abs(error) <= 0.3
 
 
+@pytest.mark.parametrize(("permil", "length_m", "limit_kmh"), [(30.0, 600.0, 30.0), (40.0, 800.0, 40.0)])
+def test_manual_keeps_to_a_gentle_stop_on_a_fall(permil, length_m, limit_kmh):
+    """A stop planned at 0.1 m/s2 was taken for one too slow: let go of, it ended 1.3 m beyond."""
+    trainset = replace(load_trainset("cheng2023"), actuation=Actuation(0.27, 0.14, 0.8))
+    where = fall(permil, length_m, limit_kmh)
+    run = Run(where, trainset, 1.4 * minimum_running_time(where, trainset), dt=1.0)
+    done, error = driven("manual", run)
+    assert done.interventions == 0
+    assert abs(error) <= 0.3
+
+
 def test_manual_moves_a_notched_lever_after_a_reaction_time(dkz32):
     done, _ = driven("manual", Run(section("RJ-WYJ"), dkz32, 101.0, seed=5))
     command = done.trajectory.command

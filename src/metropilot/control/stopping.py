@@ -39,6 +39,8 @@ AT_ONCE_MPS3 = 1e4
 """Jerk limit from which on there is none; it replaces an infinite one where arithmetic needs a number."""
 STRONGEST_MPS2 = 3.0
 """Deceleration larger than that of any brake, for a target that is too near to stop at."""
+SLOW_SHARE = 0.5
+"""A trainset is drawn up only where this share of the planned deceleration would stop it at the mark."""
 LEAST_MPS2 = 0.05
 """Least deceleration that is solved for; a stop never begins with less."""
 WATCHED_SHARE = 0.5
@@ -541,7 +543,8 @@ def stop_command(
         drag = ahead.resistance_mps2 + ahead.gradient_mps2
         share = ahead.command_for(min(drag - hold, options.held_share * max(drag, 0.0)))
         return Stop(share, 0.0, 0.0, ahead, distance)
-    if draws_up(v, ahead.acceleration_mps2, distance, jerk, lag, options):
+    planned = float(curve.deceleration_mps2)
+    if draws_up(v, ahead.acceleration_mps2, distance, jerk, lag, options, planned):
         return Stop(ahead.share_for(options.draw_up_mps2), 0.0, 0.0, ahead, distance)
     demand = stop_deceleration(v, ahead.acceleration_mps2, distance, curve, model.dt, options)
     required = later = float(demand.required_mps2)
@@ -722,6 +725,7 @@ def draws_up(
     jerk_mps3: Scalar,
     lag_s: Scalar,
     options: StopOptions = STOP_OPTIONS,
+    planned_mps2: Scalar = math.inf,
 ) -> Flag:
     """Tell if a trainset is so slow before the stop that it has to be drawn up to it.
 
@@ -732,11 +736,13 @@ def draws_up(
         jerk_mps3: Jerk limit.
         lag_s: Lag.
         options: Constants of the stop.
+        planned_mps2: Deceleration that the stop is planned with: who keeps to a gentle one is not too slow.
     """
     xp = namespace(speed_mps, acceleration_mps2, distance_m)
     rise = xp.maximum(acceleration_mps2, 0.0)
     then_mps = speed_mps + rise * (lag_s + 0.5 * rise / xp.minimum(jerk_mps3, AT_ONCE_MPS3))
-    most = 2.0 * options.draw_up_share * options.draw_up_mps2 * distance_m
+    stops = xp.minimum(options.draw_up_share * options.draw_up_mps2, SLOW_SHARE * planned_mps2)
+    most = 2.0 * stops * distance_m
     return (distance_m >= options.inch_m) & (then_mps * then_mps < most)
 
 
