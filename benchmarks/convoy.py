@@ -166,6 +166,8 @@ def main() -> None:
             rows.append(drive_case(name, link, count, origin, destination))
             with options.rows.open("a") as file:
                 file.write(json.dumps(asdict(rows[-1])) + "\n")
+    if not rows:
+        parser.error(f"{options.rows} has no rows: drive them first, without --write")
     about = circumstances(("metropilot", "numpy"))
     text = "\n".join(
         [

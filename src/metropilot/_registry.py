@@ -56,7 +56,8 @@ class Registry(Generic[T]):
         return len(self.rows())
 
     def __contains__(self, name: object) -> bool:
-        return name in self._rows or name in self._installed
+        # also a name whose package cannot be used: whoever asks for its row is told why
+        return name in self._rows or name in self._installed_rows
 
     def ids(self) -> tuple[str, ...]:
         """All ids: those of the package first, then those that were registered or installed."""
@@ -64,8 +65,8 @@ class Registry(Generic[T]):
 
     def rows(self) -> Mapping[str, RegistryRow]:
         """Every row by id; of the package's own nothing is imported."""
-        found = {name: row for name, row in self._installed.items() if isinstance(row, RegistryRow)}
-        return {**self._rows, **{name: row for name, row in found.items() if name not in self._rows}}
+        more = {name: row for name, row in self._installed_rows.items() if name not in self._rows}
+        return self._rows | {name: row for name, row in more.items() if isinstance(row, RegistryRow)}
 
     def row(self, name: str) -> RegistryRow:
         """The row of an id.
@@ -73,7 +74,7 @@ class Registry(Generic[T]):
         Raises:
             InputError: No such id (the nearest is named), or its package cannot be used.
         """
-        row = self._rows.get(name) or self._installed.get(name)
+        row = self._rows.get(name) or self._installed_rows.get(name)
         if isinstance(row, str):
             raise InputError(
                 f"the {self.kind} of an installed package cannot be used ({row})",
@@ -86,7 +87,7 @@ class Registry(Generic[T]):
         return row
 
     @cached_property
-    def _installed(self) -> Mapping[str, RegistryRow | str]:
+    def _installed_rows(self) -> Mapping[str, RegistryRow | str]:
         """Rows that installed packages add, by id; the reason instead of a row that cannot be used."""
         if not self.group:
             return {}
@@ -99,7 +100,7 @@ class Registry(Generic[T]):
         """The object of an id.
 
         Raises:
-            InputError: No such id (the nearest is named).
+            InputError: No such id (the nearest is named), or its package cannot be used.
         """
         target = self.row(name).target
         if not isinstance(target, str):

@@ -102,14 +102,18 @@ def test_a_reserve_is_that_of_a_line_without_planned_times(typed, tmp_path):
     assert "--reserve: the running times are given" in said.err
 
 
-def test_a_dash_is_a_load_that_the_network_cannot_carry(typed, tmp_path):
-    # one train at a time draws what this substation can give
+def feed_weakly(folder):
+    """Write a line with a substation that gives what one train at a time draws; return the command."""
     text = (resources.files("metropilot.railway") / "catalogue/feedings/yizhuang.toml").read_text()
     text = re.sub(r"(?s)list = \[.*?\n\]", 'list = [{ name = "A", position = 0 }]', text, count=1)
     text = text.replace('line = "yizhuang"', 'line = "two"').replace("resistance = 10", "resistance = 20")
-    (tmp_path / "mine.toml").write_text(text)
-    (tmp_path / "two.toml").write_text(TWO)
-    fed = ("line", "two.toml", "--feeding", "mine.toml", "--headway", "110")
+    (folder / "mine.toml").write_text(text)
+    (folder / "two.toml").write_text(TWO)
+    return ("line", "two.toml", "--feeding", "mine.toml", "--headway", "110")
+
+
+def test_a_dash_is_a_load_that_the_network_cannot_carry(typed, tmp_path):
+    fed = feed_weakly(tmp_path)
     told = json.loads(typed(*fed, "--json").out)["feeding"]["network"]
     assert told["driving_only_kwh"] is None
     said = " ".join(typed(*fed).out.split())
@@ -118,12 +122,7 @@ def test_a_dash_is_a_load_that_the_network_cannot_carry(typed, tmp_path):
 
 
 def test_an_hour_that_the_network_cannot_carry_leaves_the_result_without_disturbance(typed, tmp_path):
-    text = (resources.files("metropilot.railway") / "catalogue/feedings/yizhuang.toml").read_text()
-    text = re.sub(r"(?s)list = \[.*?\n\]", 'list = [{ name = "A", position = 0 }]', text, count=1)
-    text = text.replace('line = "yizhuang"', 'line = "two"').replace("resistance = 10", "resistance = 20")
-    (tmp_path / "mine.toml").write_text(text)
-    (tmp_path / "two.toml").write_text(TWO)
-    fed = ("line", "two.toml", "--feeding", "mine.toml", "--headway", "110")
+    fed = feed_weakly(tmp_path)
     plain = json.loads(typed(*fed, "--json").out)
     said = typed(*fed, "--scatter", "30", "--driver", "eitoe", "--out", "out", "--json")
     assert said.code == 0, said.err

@@ -85,6 +85,14 @@ def test_a_run_keeps_its_own_line_and_trainset(tmp_path):
     assert load_trainset(folder / "trainset.toml") == load_trainset("dkz32")
 
 
+def test_a_record_names_no_file_outside_of_its_folder(tmp_path):
+    site = TaskSite(line="/elsewhere/mine.toml", trainset="../../train.json@0.4,0.2:AW2")
+    expected = {"line": f"{tmp_path}/line.toml", "trainset": f"{tmp_path}/trainset.json@0.4,0.2:AW2"}
+    assert site.in_folder(tmp_path).values() == expected
+    assert {"line.toml", "trainset.json"} <= set(site.copy_names())
+    assert TaskSite(line="yizhuang").in_folder(tmp_path) == TaskSite(line="yizhuang")
+
+
 def test_every_task_is_learned_on_its_own_sections_or_takes_others():
     for name in TASKS:
         own = task_config(name)

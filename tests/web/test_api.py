@@ -518,7 +518,10 @@ def test_a_refusal_offers_what_a_request_can_send(server, body, field):
     ],
 )
 def test_where_nothing_can_be_learned_is_refused_at_once(server, body, field):
-    refusal_of(server.post("/api/jobs/learn", body, code=422), field)
+    before = server.get("/api/jobs?kind=learn")
+    error = refusal_of(server.post("/api/jobs/learn", body, code=422), field)
+    assert error["value"] in {None, *body.values(), "huang2025"}
+    assert server.get("/api/jobs?kind=learn") == before
 
 
 def test_a_form_without_a_file_says_so(server):

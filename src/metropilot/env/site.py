@@ -7,7 +7,15 @@ from pathlib import Path
 
 from metropilot._schema import CheckedFields, declare
 from metropilot.errors import InputError
-from metropilot.railway import Section, Trainset, copy_input, load_line, load_trainset, parse_trainset
+from metropilot.railway import (
+    Section,
+    Trainset,
+    copied_key,
+    copy_input,
+    load_line,
+    load_trainset,
+    parse_trainset,
+)
 
 LINE, SECTION, TRAINSET = "yizhuang", "RJ-WYJ", "dkz32"
 """Line, section and trainset of a task that is given no other."""
@@ -70,24 +78,22 @@ class TaskSite(CheckedFields):
 
     def copy_files(self, folder: Path) -> None:
         """Copy its files into a folder, where :meth:`as_copied` names them."""
-        for name, value in self._files().items():
-            copy_input(folder, value, name)
+        for name in FILES:
+            if name in self.values():
+                copy_input(folder, self.values()[name], name)
 
     def as_copied(self) -> TaskSite:
         """The same site with the names that copies of its files have."""
-        return replace(
-            self,
-            **{
-                name: str(key._replace(id=f"{name}{Path(key.id).suffix.lower()}"))
-                for name, value in self._files().items()
-                for key in [parse_trainset(value)]
-            },
-        )
+        given = self.values().items()
+        return replace(self, **{name: copied_key(value, name) for name, value in given if name in FILES})
 
     def in_folder(self, folder: Path) -> TaskSite:
-        """The same site with its files found from a folder."""
-        return replace(self, **{name: str(folder / value) for name, value in self._files().items()})
+        """The same site with the copies of its files in a folder, whatever place it names."""
+        copies = self.as_copied().values().items()
+        found = {name: key for name, key in copies if name in FILES and parse_trainset(key).is_file}
+        return replace(self, **{name: str(folder / key) for name, key in found.items()})
 
-    def _files(self) -> dict[str, str]:
-        given = self.values().items()
-        return {name: value for name, value in given if name in FILES and parse_trainset(value).is_file}
+    @staticmethod
+    def copy_names() -> tuple[str, ...]:
+        """Names that copies of files can have."""
+        return tuple(f"{name}{ending}" for name in FILES for ending in (".toml", ".json"))

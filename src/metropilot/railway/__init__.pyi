@@ -17,6 +17,7 @@ from .journey import Journey as Journey
 from .journey import TimingPoint as TimingPoint
 from .journey import planned_journey as planned_journey
 from .library import TrainsetKey as TrainsetKey
+from .library import copied_key as copied_key
 from .library import copy_input as copy_input
 from .library import document_text as document_text
 from .library import import_file as import_file

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 from metropilot._schema import check_fields, declare
 from metropilot.errors import InputError
@@ -90,6 +91,11 @@ class Storage:
             )
 
 
+def _voltage(field: str, value: float, allowed: str) -> dict[str, Any]:
+    """Attributes of the error of a voltage."""
+    return {"field": field, "value": tidy(value), "unit": "V", "allowed": allowed}
+
+
 @dataclass(frozen=True, kw_only=True)
 class Feeding(CatalogueRecord):
     """DC feeding of one line.
@@ -137,28 +143,17 @@ class Feeding(CatalogueRecord):
         check_positions("storages", [each.position_m for each in self.storages])
         highest_v = max(s.no_load_v for s in self.substations)
         lowest_v = min(s.no_load_v for s in self.substations)
-        order = (
+        order = [
+            (f"substations[{index}].no_load_voltage", each.no_load_v, self.cut_off_v, self.max_v)
+            for index, each in enumerate(self.substations)
+        ]
+        order += [
             ("reduced_below_v", self.reduced_below_v, self.cut_off_v, lowest_v),
             ("squeezed_above_v", self.squeezed_above_v, highest_v, self.max_v),
-        )
-        for index, each in enumerate(self.substations):
-            if not self.cut_off_v < each.no_load_v < self.max_v:
-                raise InputError(
-                    "out of order",
-                    field=f"substations[{index}].no_load_voltage",
-                    value=tidy(each.no_load_v),
-                    unit="V",
-                    allowed=f"between {self.cut_off_v:g} and {self.max_v:g} V",
-                )
+        ]
         for name, value, low, high in order:
             if not low < value < high:
-                raise InputError(
-                    "out of order",
-                    field=name,
-                    value=tidy(value),
-                    unit="V",
-                    allowed=f"between {low:g} and {high:g} V",
-                )
+                raise InputError("out of order", **_voltage(name, value, f"between {low:g} and {high:g} V"))
         self._check_in_reach()
 
     def _check_in_reach(self) -> None:
@@ -170,22 +165,12 @@ class Feeding(CatalogueRecord):
         below = [(f"{block}.discharge_below", each.discharge_below_v) for block, each in storages]
         for name, value in (*inverters, *above):
             if value is not None and not value < self.max_v:
-                raise InputError(
-                    "a voltage that is never reached",
-                    field=name,
-                    value=tidy(value),
-                    unit="V",
-                    allowed=f"below max_voltage of the trains, {self.max_v:g} V",
-                )
+                allowed = f"below max_voltage of the trains, {self.max_v:g} V"
+                raise InputError("a voltage that is never reached", **_voltage(name, value, allowed))
         for name, value in below:
             if not value > self.cut_off_v:
-                raise InputError(
-                    "a voltage that is never reached",
-                    field=name,
-                    value=tidy(value),
-                    unit="V",
-                    allowed=f"above cut_off of the trains, {self.cut_off_v:g} V",
-                )
+                allowed = f"above cut_off of the trains, {self.cut_off_v:g} V"
+                raise InputError("a voltage that is never reached", **_voltage(name, value, allowed))
 
     @property
     def ohm_per_m(self) -> float:

@@ -217,6 +217,17 @@ def document_text(kind: Literal["line", "trainset"], id_or_path: str | Path) -> 
     return toml_text(line_document(found) if isinstance(found, Line) else trainset_document(found))
 
 
+def copied_key(key: str, stem: str) -> str:
+    """Key of a line or trainset whose file is copied by another name; a catalogue's unchanged.
+
+    Args:
+        key: As :func:`load_line` and :func:`load_trainset` take it.
+        stem: Name of the copy without its ending.
+    """
+    parts = parse_trainset(key)
+    return str(parts._replace(id=stem + Path(parts.id).suffix.lower())) if parts.is_file else key
+
+
 def copy_input(folder: Path, key: str, stem: str) -> str:
     """Copy the file of a line or trainset into a folder; returns its new key, a catalogue's unchanged.
 
@@ -225,13 +236,10 @@ def copy_input(folder: Path, key: str, stem: str) -> str:
         key: As :func:`load_line` and :func:`load_trainset` take it.
         stem: Name of the copy without its ending.
     """
-    parts = parse_trainset(key)
-    source = Path(parts.id)
-    if not parse_trainset(source.name).is_file:
-        return key
-    name = f"{stem}{source.suffix.lower()}"
-    shutil.copyfile(source, folder / name)
-    return str(parts._replace(id=name))
+    copied = copied_key(key, stem)
+    if parse_trainset(key).is_file:
+        shutil.copyfile(parse_trainset(key).id, folder / parse_trainset(copied).id)
+    return copied
 
 
 class TrainsetKey(NamedTuple):

@@ -112,12 +112,11 @@ def _check_campaign(service: Service, body: requests.CampaignIn) -> None:
 
 
 def _check_learning(service: Service, body: requests.LearnIn) -> None:
-    from metropilot.env import TaskSite
     from metropilot.learn import recipe
 
     row = recipe(body.driver)
     row.configuration(body.budget, **learning.recipe_fields(body.model_dump()))
-    row.task_configuration(body.task, TaskSite(**learning.site_fields(service.learn_values(body))))
+    row.task_configuration(body.task, learning.site_of(service.learn_values(body)))
 
 
 def _check_study(_: Service, body: requests.StudyIn) -> None:

@@ -19,6 +19,8 @@ import numpy as np
 
 from metropilot._schema import CheckedFields, declare
 from metropilot._typing import Index, Scalar
+
+# by name: the export to C replaces functions in the modules that name them
 from metropilot.control import (
     Ceiling,
     CommandActuation,

@@ -6,6 +6,8 @@ import json
 from pathlib import Path
 from typing import Any
 
+from metropilot._schema import field_specs
+from metropilot.env import TaskSite
 from metropilot.errors import InputError
 from metropilot.policy import POLICY_FILE
 from metropilot.web.store import JobStore
@@ -25,9 +27,9 @@ def _told(body: dict[str, Any]) -> dict[str, Any]:
     return {name: body[name] for name in ("budget", "task", "seed")} | recipe_fields(body)
 
 
-def site_fields(body: dict[str, Any]) -> dict[str, str | None]:
-    """The fields of the line and trainset that a learning job names."""
-    return {name: body.get(name) for name in ("line", "sections", "trainset", "load")}
+def site_of(body: dict[str, Any]) -> TaskSite:
+    """Line and trainset that a learning job names; one of before these fields names none."""
+    return TaskSite(**{name: body.get(name) for name in field_specs(TaskSite)})
 
 
 def learn_job(root: str, job: str, body: dict[str, Any], run: str | None) -> dict[str, Any]:
@@ -41,7 +43,6 @@ def learn_job(root: str, job: str, body: dict[str, Any], run: str | None) -> dic
     """
     store = JobStore(Path(root))
     store.begin(job, "compiling")
-    from metropilot.env import TaskSite
     from metropilot.learn import (
         RunStore,
         TrainingOptions,
@@ -58,7 +59,7 @@ def learn_job(root: str, job: str, body: dict[str, Any], run: str | None) -> dic
         record = runs.show(run)
         request = resume_request(record, runs.folder(record.id))
     else:
-        request = new_request(body["driver"], site=TaskSite(**site_fields(body)), **_told(body))
+        request = new_request(body["driver"], site=site_of(body), **_told(body))
         record = begin_run(runs, request)
     store.update(job, run=record.id)
     told = runs.folder(record.id) / PROGRESS
@@ -89,7 +90,7 @@ def run_file_names(*, resumable: bool) -> tuple[str, ...]:
     """
     from metropilot.learn import CHECKPOINT_FILE, HISTORY_FILE, RECORD_FILE
 
-    again = [CHECKPOINT_FILE, "line.toml", "trainset.toml"] if resumable else []
+    again = (CHECKPOINT_FILE, *TaskSite.copy_names()) if resumable else ()
     return (RECORD_FILE, PROGRESS, HISTORY_FILE, POLICY_FILE, *again)
 
 
@@ -141,13 +142,12 @@ def check_run(folder: str, body: dict[str, Any], resumable: bool) -> bool:
     if not resumable:
         return True
     row = recipe(body["driver"])
-    config = row.configuration(body["budget"], **recipe_fields(body))
-    site = {name: body.get(name) for name in ("sections", "load")}
-    asked = (config, body["task"] or row.task, body["seed"], body["driver"], site)
-    kept_site = {name: record.about.get(name) for name in site}
-    kept = (record.configuration(), record.task, record.seed, record.driver, kept_site)
-    resume_request(record, path)
-    return asked == kept
+    known, site = resume_request(record, path), site_of(body)
+    # its files are copies under other names: that it has some is all that can be compared
+    told = (row.configuration(body["budget"], **recipe_fields(body)), body["task"] or row.task, body["seed"])
+    asked = (*told, body["driver"], list(site.values()), site.sections, site.load)
+    there = (known.config, known.name, known.seed, known.driver)
+    return asked == (*there, list(known.site.values()), known.site.sections, known.site.load)
 
 
 def keep_run(root: Path, run: str) -> None:
