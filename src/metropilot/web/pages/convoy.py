@@ -15,9 +15,9 @@ from metropilot.web.errors import Refused
 from metropilot.web.pages import form
 from metropilot.web.pages import frame as parts
 from metropilot.web.pages.drive import checks_table
+from metropilot.web.pages.live_card import AbstractLiveCard
 from metropilot.web.pages.plots import convoy_figure, finished_convoy_figure
 from metropilot.web.pages.strip import section_strip
-from metropilot.web.pages.watched import AbstractWatched
 from metropilot.web.schemas.requests import ConvoyIn, NewLink
 from metropilot.web.service import Service
 from metropilot.web.store import JobRow, outcome_words
@@ -46,7 +46,7 @@ READS = (
 )
 
 
-class ConvoyPage(AbstractWatched):
+class ConvoyPage(AbstractLiveCard):
     """State of the page for one browser."""
 
     idle = N_("no convoy is under way; depart first")

@@ -18,10 +18,10 @@ from metropilot.web.errors import Refused, error_of
 from metropilot.web.live.session import Session
 from metropilot.web.pages import form, plots
 from metropilot.web.pages import frame as parts
+from metropilot.web.pages.live_card import AbstractLiveCard
 from metropilot.web.pages.moment import MomentSlider
 from metropilot.web.pages.runs import RunList
 from metropilot.web.pages.strip import line_strip, section_strip
-from metropilot.web.pages.watched import AbstractWatched
 from metropilot.web.schemas.requests import LiveIn, NewArrival, NewRestriction
 from metropilot.web.service import RESUMABLE, Service
 from metropilot.web.store import JobRow
@@ -54,7 +54,7 @@ KEYS = (
 )
 
 
-class DrivePage(AbstractWatched):
+class DrivePage(AbstractLiveCard):
     """State of the page for one browser.
 
     Args:

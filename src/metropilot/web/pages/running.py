@@ -13,8 +13,8 @@ from metropilot.web.errors import Refused, error_of
 from metropilot.web.live.line import DELAYS
 from metropilot.web.pages import frame as parts
 from metropilot.web.pages.form import names, number_field, validate
+from metropilot.web.pages.live_card import AbstractLiveCard
 from metropilot.web.pages.plots import finished_line_figure, running_figure
-from metropilot.web.pages.watched import AbstractWatched
 from metropilot.web.schemas.requests import NewHold, NewSlowSection, RunningLineIn
 from metropilot.web.service import RESUMABLE, Service
 from metropilot.web.store import JobRow
@@ -36,7 +36,7 @@ READS = (
 WAYS = {"forward": N_("as the stations are listed"), "backward": N_("the other way")}
 
 
-class RunningCard(AbstractWatched):
+class RunningCard(AbstractLiveCard):
     """The card of the live train graph.
 
     Args:

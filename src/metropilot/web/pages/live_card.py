@@ -15,7 +15,7 @@ from metropilot.web.service import LiveBody, Service
 from metropilot.web.words.language import _, translate_each
 
 
-class AbstractWatched(ABC):
+class AbstractLiveCard(ABC):
     """A card, or page, with a live run that is started, asked and watched.
 
     Attributes:
